@@ -7,21 +7,23 @@ takes the place of Python's after both have given the same bits for random input
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from unicon_base.arrays import Array
 from unicon_core.native.operands import NotNative
 
+Arrays: TypeAlias = Mapping[str, Array]
 VERSION = 12
 """Of the interface; later libraries keep its functions in their places."""
 PLACES = {
-    "CreateEnv": 3, "CreateSession": 7, "CreateSessionOptions": 10, "SetSessionExecutionMode": 13,
-    "SetSessionLogSeverityLevel": 22, "SetIntraOpNumThreads": 24, "SetInterOpNumThreads": 25,
+    "GetErrorMessage": 2, "CreateEnv": 3, "CreateSession": 7, "CreateSessionOptions": 10,
+    "SetSessionExecutionMode": 13, "SetSessionLogSeverityLevel": 22,
+    "SetIntraOpNumThreads": 24, "SetInterOpNumThreads": 25,
     "CreateTensorWithDataAsOrtValue": 49, "CreateCpuMemoryInfo": 69, "AddSessionConfigEntry": 130,
     "RunWithBinding": 133, "CreateIoBinding": 134, "BindInput": 136, "BindOutput": 137,
 }  # fmt: skip
@@ -29,6 +31,11 @@ PLACES = {
 TYPES = {"float32": 1, "int32": 6, "int64": 7, "bool": 9, "float64": 11}
 SEVERE = 3
 """Log level of errors."""
+OPTIONS = {
+    "SetIntraOpNumThreads": 1, "SetInterOpNumThreads": 1, "SetSessionExecutionMode": 0,
+    "SetSessionLogSeverityLevel": SEVERE,
+}  # fmt: skip
+SPINNING = "session.intra_op.allow_spinning"
 
 
 @lru_cache(maxsize=1)
@@ -72,9 +79,7 @@ def _environment() -> ctypes.c_void_p:
     return _made("CreateEnv", SEVERE, b"unicon")
 
 
-def open_session(
-    path: Path, inputs: Mapping[str, Array], outputs: Mapping[str, Array]
-) -> list[int]:
+def open_session(path: Path, inputs: Arrays, outputs: Arrays) -> list[int]:
     """Return the addresses of what runs a network on some arrays: function, session and binding.
 
     Args:
@@ -86,14 +91,9 @@ def open_session(
         NotNative: it cannot be had so.
     """
     options = _made("CreateSessionOptions")
-    for name, setting in (
-        ("SetIntraOpNumThreads", 1),
-        ("SetInterOpNumThreads", 1),
-        ("SetSessionExecutionMode", 0),
-        ("SetSessionLogSeverityLevel", SEVERE),
-    ):
+    for name, setting in OPTIONS.items():
         _call(name, options, setting)
-    _call("AddSessionConfigEntry", options, b"session.intra_op.allow_spinning", b"0")
+    _call("AddSessionConfigEntry", options, SPINNING.encode(), b"0")
     session = _made("CreateSession", _environment(), str(path).encode(), options)
     binding = _made("CreateIoBinding", session)
     memory = _made("CreateCpuMemoryInfo", 0, 0)
@@ -112,19 +112,19 @@ def open_session(
     return [run, session.value or 0, binding.value or 0]
 
 
-def compare(one: Any, other: Any, inputs: Sequence[Array], outputs: Sequence[Array]) -> bool:
+def compare(one: Any, other: Any, inputs: Arrays, outputs: Arrays) -> bool:
     """Return whether two functions write the same bits; the arrays keep their values."""
-    arrays = [*inputs, *outputs]
+    arrays = [*inputs.values(), *outputs.values()]
     before = [array.copy() for array in arrays]
     random = np.random.default_rng(0)
     same = True
     for _ in range(3):
-        for array in inputs:
+        for array in inputs.values():
             array[...] = random.normal(size=array.shape)
         found = []
         for function in (one, other):
             function()
-            found.append([array.tobytes() for array in outputs])
+            found.append([array.tobytes() for array in outputs.values()])
         same &= found[0] == found[1]
     for array, values in zip(arrays, before):
         array[...] = values

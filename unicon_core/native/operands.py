@@ -38,7 +38,6 @@ _OPERAND = re.compile(r"([$#])([A-Za-z_]\w*(?:\.\w+)*)")
 PRELUDE = """
 #include <float.h>
 #include <stdint.h>
-#include <time.h>
 
 static_assert(FLT_EVAL_METHOD == 0, "float32 has to be computed as float32");
 #define each(n) for (int64_t i = 0; i < (int64_t)(n); ++i)
@@ -72,6 +71,11 @@ template <class A, class B> static inline bool within(A a, B low, B high, int64_
   each(n) holds &= a[i] >= low[i] && a[i] <= high[i];
   return holds;
 }
+"""
+"""What stands before the functions of blocks."""
+
+BINDING = """
+#include <time.h>
 
 template <class T> static void compare(int way, const T* a, const T* b, T* out, int64_t n) {
   each(n) out[i] = way ? lesser(a[i], b[i]) : greater(a[i], b[i]);
@@ -121,7 +125,7 @@ static inline int64_t now() {
   return (int64_t)t.tv_sec * 1000000000 + t.tv_nsec;
 }
 """
-"""What stands before the functions of a library."""
+"""What binds a library to the Python process that has loaded it."""
 
 
 class NotNative(Exception):

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from types import FunctionType
 from typing import Any
 
@@ -33,7 +34,10 @@ class Piece:
         call: the part in Python: what it does where `text` is None, else what `BAIL` runs.
         text: its C++, expanded; None where Python runs it.
         owner: of a network: its attribute `infer` becomes the native function.
-        arrays: of a network: inputs and outputs.
+        arrays: of a network: inputs and outputs by name.
+        session: of a network: addresses of function, session and binding, int64, shape (3,).
+        files: of a network: the model and those beside it that hold its weights.
+        why: Python runs it.
     """
 
     name: str
@@ -41,6 +45,9 @@ class Piece:
     text: str | None = None
     owner: Any = None
     arrays: Any = ()
+    session: Any = None
+    files: tuple[Path, ...] = ()
+    why: str = ""
 
 
 def pieces_of(block: Block, table: Table) -> list[Piece]:
@@ -241,7 +248,7 @@ def _policy_pieces(block: Block, table: Table) -> list[Piece] | None:
 
     before = [Piece(f"{block.name}_{k}", part) for k, part in enumerate(policy._before)]
     for piece in before:
-        with suppress(NotNative):
+        with _explained(piece):
             piece.text = _own_text(piece.call, table)
     assemble = "\n".join([_observation(observation), "each(#obs) if (!finite($obs[i])) BAIL;"])
     holder = _Operands(lane, observation, policy)
@@ -258,21 +265,30 @@ def _network(block: Block, table: Table) -> Piece:
     policy: Any = block.tick
     lane = policy.lane
     piece = Piece(f"{block.name}_network", lane.infer)
-    with suppress(NotNative):
+    with _explained(piece):
         bound = getattr(lane.infer, "__defaults__", None)  # None: it is native in another graph
         if not (bound and type(policy.network) is OnnxNetwork) or policy.contract.provider != "cpu":
             raise NotNative("a network of another runtime")
         *_, inputs, outputs = bound[0]
-        run, session, binding = (
-            table.constants([address], np.int64)
-            for address in open_session(policy.contract.model, inputs, outputs)
-        )
+        piece.session = np.array(open_session(policy.contract.model, inputs, outputs))
+        made = table.array(piece.session)
         piece.text = (
-            f"auto run = (void* (*)(void*, const void*, void*)){run}[0];\n"
-            f"if (run((void*){session}[0], 0, (void*){binding}[0])) BAIL;"
+            f"auto run = (void* (*)(void*, const void*, void*)){made}[0];\n"
+            f"if (run((void*){made}[1], 0, (void*){made}[2])) BAIL;"
         )
-        piece.owner, piece.arrays = lane, (list(inputs.values()), list(outputs.values()))
+        piece.owner, piece.arrays = lane, (inputs, outputs)
+        model = policy.network.file
+        piece.files = model.path, *(model.path.parent / name for name in model.external)
     return piece
+
+
+@contextmanager
+def _explained(piece: Piece) -> Iterator[None]:
+    """Leave a piece to Python, and say why, where no C++ can be made inside."""
+    try:
+        yield
+    except NotNative as reason:
+        piece.why = str(reason)
 
 
 class _Operands:

@@ -24,7 +24,7 @@ from unicon_core.native.pieces import Piece, pieces_of
 LEAST = 1
 """A stretch has at least so many operations: a call costs 30 ns, one slice copy in Python 80."""
 
-_STEPS = re.compile(r"(step|deferred|part)")
+STEPS = re.compile(r"(step|deferred|part)")
 _SIGNS = {
     ast.Eq: "==", ast.NotEq: "!=", ast.GtE: ">=", ast.Gt: ">", ast.LtE: "<=", ast.Lt: "<",
     ast.BitAnd: "&", ast.BitOr: "|", ast.Add: "+", ast.Sub: "-",
@@ -101,7 +101,7 @@ class Stretches:
         self._inside = _names(self._outlined)
         every = self._outlined | functions
         trees = {
-            name: parse("\n".join(body)).body for name, body in every.items() if _STEPS.match(name)
+            name: parse("\n".join(body)).body for name, body in every.items() if STEPS.match(name)
         }
         self._python: set[str] = set()
         while True:
@@ -220,14 +220,14 @@ class Stretches:
                 return _called(statement.value) == "now"
             case ast.Assign(targets=[ast.Name()]):
                 called = _called(statement.value)
-                simple = called in self.texts if called else not _calls(statement)
+                simple = self.callable(called) if called else not _calls(statement)
                 return simple and (_is_true(statement.value) or self.free(statement))
             case ast.AugAssign(target=ast.Name()):
                 gives = isinstance(statement.op, ast.BitOr)
                 return not _calls(statement) and (gives or self.free(statement))
             case ast.If():
                 called = _called(statement.test)
-                asked = called in self.texts if called else not _calls(statement.test)
+                asked = self.callable(called) if called else not _calls(statement.test)
                 return (
                     asked
                     and self.free(statement.test)

@@ -27,7 +27,7 @@ from unicon_core.flow.compiler import compile_graph
 from unicon_core.flow.nodes import Node
 from unicon_core.native.build import NativeError, load
 from unicon_core.native.network import compare
-from unicon_core.native.operands import PRELUDE
+from unicon_core.native.operands import BINDING, PRELUDE
 from unicon_core.native.pieces import Piece
 from unicon_core.native.stretches import Stretches
 from unicon_core.states import States
@@ -149,9 +149,10 @@ class NativeGraph(Stretches):
         ]
         self.source = "\n".join(
             [
-                f"// native: {', '.join(map(_clean, self.native)) or 'nothing'}",
-                *(f"// Python runs {_clean(name)}: {why}" for name, why in self.python.items()),
+                f"// native: {', '.join(map(clean, self.native)) or 'nothing'}",
+                *(f"// Python runs {clean(name)}: {why}" for name, why in self.python.items()),
                 PRELUDE,
+                BINDING,
                 *table.declarations,
                 *blocks,
                 *self.functions,
@@ -179,7 +180,7 @@ class NativeGraph(Stretches):
 
     def block(self, name: str, text: str, twin: Callable[[], object]) -> str:
         """Return the function of a block, or of a part of it."""
-        body = text.replace("BAIL", f"return call({self.number(twin)})")
+        body = re.sub("BAIL|PYTHON|WARN", f"return call({self.number(twin)})", text)
         return f"CODE static int64_t {name}() {{\n{body}\nreturn 0;\n}}"
 
     def _opened(self, calls: dict[str, Any]) -> dict[str, Any]:
@@ -254,5 +255,5 @@ def _compare(library: ctypes.PyDLL) -> None:
             raise NativeError("maximum, minimum or cosine differ from C++ on this machine")
 
 
-def _clean(name: str) -> str:
+def clean(name: str) -> str:
     return re.sub(r"\W", "_", name, flags=re.ASCII)

@@ -5,7 +5,8 @@ smaller of two numbers, in the order and the types of NumPy's operations (a Pyth
 float32 array counts as float32); sines and cosines only where Python takes them of `math`, which
 calls the same library. In a text `$path` is an attribute of the block, `#path` its number of
 elements; `each(n)` loops over i; `BAIL` runs the Python twin of this tick instead, and stands
-before anything is written; `DONE(x)` returns whether the block is done.
+before anything is written: it is a fault, or with `PYTHON` what C++ does not do, or with `WARN` a
+warning besides what follows in C++. `DONE(x)` returns whether the block is done.
 
 A twin belongs to the function of this package that it repeats, not to a class: a subclass that
 overrides one of them is called back.
@@ -163,7 +164,7 @@ def _blend_in(block: Any) -> str:
     )
     return f"""
     if ($_tick >= $_ticks) return 0;
-    if ($_tick == 0) BAIL;
+    if ($_tick == 0) PYTHON;
     $_tick += 1;
     float share = (float)((double)$_tick / (double)($_ticks + 1));
     {mixed}
@@ -289,7 +290,11 @@ TWINS: dict[tuple[str, ...], Twin] = {
         "workflow.command_bounds:CommandBounds.within",
     ): """
     double x = $_first[0], y = $_first[1], z = $_first[2];
-    if (!($_x0 <= x && x <= $_x1 && $_y0 <= y && y <= $_y1 && $_z0 <= z && z <= $_z1)) BAIL;
+    if (!($_x0 <= x && x <= $_x1 && $_y0 <= y && y <= $_y1 && $_z0 <= z && z <= $_z1)) {
+      WARN;
+      bool clips = finite(x) && finite(y) && finite(z);
+      each(3) $_first[i] = clips ? lesser(greater($_first[i], $_low[i]), $_high[i]) : 0.0f;
+    }
     """,
     ("blocks.velocity_command:Drive.__call__", "blocks.velocity_command:Drive._steady"): _drive,
     (
@@ -369,10 +374,10 @@ TWINS: dict[tuple[str, ...], Twin] = {
     ("blocks.safety.servo_stops:TrackingStop.__call__",): """
     double square = 0.0;
     each(#_pos) { $_apart[i] = $_target[i] - $_pos[i]; square += (double)$_apart[i] * $_apart[i]; }
-    if ($_counting || !(square <= 0.999 * $_bound * $_bound)) BAIL;
+    if ($_counting || !(square <= 0.999 * $_bound * $_bound)) PYTHON;
     """,
     ("blocks.safety.stuck:EncoderStop.__call__",): """
-    each(#_pos) if (!($_pos[i] != $_last[i])) BAIL;
+    each(#_pos) if (!($_pos[i] != $_last[i])) PYTHON;
     $_tick += 1;
     each(#_pos) { $_last[i] = $_pos[i]; $_reference[i] = $_target[i]; }
     $_all = $_tick;

@@ -88,7 +88,7 @@ def c_header(groups: Groups, source: str) -> str:
         "enum {",
         *numbers,
         "};",
-        *(_struct(name, layout) for name, layout in groups.items()),
+        *(c_struct(name, layout) for name, layout in groups.items()),
         _forms(groups),
         *(_functions(name) for name in groups),
         "#endif",
@@ -113,8 +113,12 @@ def _number(group: str) -> str:
     return f"UNICON_{group.upper()}"
 
 
-def _struct(group: str, layout: Layout) -> str:
-    """Return the type of one group's value, and the proofs that it is laid out as here."""
+def c_struct(group: str, layout: Layout) -> str:
+    """Return the type of one group's value, and the proofs that it is laid out as here.
+
+    Raises:
+        StateError: C has no type of a fixed size for a state.
+    """
     check_name(group)
     fields, members, proofs = field_names(layout.specs), [], []
     at = pads = 0

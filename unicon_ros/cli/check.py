@@ -27,6 +27,7 @@ from unicon_ros.cli.options import (
     flag,
     option,
     together,
+    whole,
 )
 
 if TYPE_CHECKING:
@@ -133,6 +134,17 @@ def show(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def export(arguments: argparse.Namespace) -> int:
+    """Run the command."""
+    from unicon_core.native.export import export
+    from unicon_core.workflow import load_document
+
+    folder = Path(arguments.cpp)
+    export(load_document(arguments.workflow, arguments.overrides), folder, arguments.ticks)
+    print(folder)
+    return 0
+
+
 def schema_of(kind: str) -> AnyDict:
     """Return the JSON Schema of a kind of document.
 
@@ -204,6 +216,21 @@ add_show = command(
         flag("--mermaid", "the graph as Mermaid"),
         argument("--svg", "FILE", "the graph as SVG, written to FILE"),
         argument("--html", "FILE", "all of it as one page, written to FILE"),
+    ),
+)
+add_export = command(
+    "export",
+    export,
+    "write a controller in C++",
+    "Write the tick of a workflow as a C++ project that needs no Python, with recorded vectors.",
+    *WORKFLOW,
+    argument("--cpp", "DIR", "the project's folder: absent or empty", required=True),
+    argument(
+        "--ticks",
+        "N",
+        "recorded at most, in simulation (default 1000)",
+        type=whole("a number of ticks", 1, 1_000_000),
+        default=1000,
     ),
 )
 add_schema = command(

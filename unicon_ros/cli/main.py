@@ -31,6 +31,7 @@ OURS = {
     "preflight": preflight.add,
     "schema": check.add_schema,
     "show": check.add_show,
+    "export": check.add_export,
     "states": states.add,
     "bench": bench.add,
     "known": known.add,
@@ -40,8 +41,8 @@ OURS = {
     "talk": talk.add,
 }
 ORDER = (
-    *("run", "check", "preflight", "emulate", "schema", "show", "states", "bag", "replay"),
-    *("diagnose", "analyze", "transfer", "sweep", "view", "bench", "known", "assets"),
+    *("run", "check", "preflight", "emulate", "schema", "show", "export", "states", "bag"),
+    *("replay", "diagnose", "analyze", "transfer", "sweep", "view", "bench", "known", "assets"),
     *("latches", "doctor", "talk", "report_run"),
 )
 """Commands as their list has them; those of other packages come behind."""

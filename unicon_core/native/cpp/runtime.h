@@ -1,0 +1,150 @@
+// What every exported controller has: ONNX Runtime by its C interface, ticks, faults and damping.
+// controller.cpp includes it behind the tick.
+#include <dlfcn.h>
+#include <string.h>
+
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+// -- ONNX Runtime: its functions by their place in the table of the interface (OrtApi) -----------
+
+static void* const* api = 0;
+static const char* version = "";
+static auto& kept = *new std::vector<void*>;  // as long as the process: a step uses them
+
+template <class... A> static void ort(int place, A... arguments) {
+  void* status = ((void* (*)(A...))api[place])(arguments...);
+  if (status) throw std::runtime_error(((const char* (*)(void*))api[GetErrorMessage])(status));
+}
+
+template <class... A> static void* made(int place, A... arguments) {
+  void* out = 0;
+  ort(place, arguments..., &out);
+  kept.push_back(out);
+  return out;
+}
+
+static void load(const char* library) {
+  struct Base {
+    void* const* (*table)(uint32_t);
+    const char* (*version)();
+  };
+  void* opened = dlopen(library, RTLD_NOW | RTLD_LOCAL);
+  void* base = opened ? dlsym(opened, "OrtGetApiBase") : 0;
+  if (!base) throw std::runtime_error(dlerror());
+  const Base* found = ((const Base* (*)())base)();
+  api = found->table(VERSION);
+  if (!api) throw std::runtime_error(std::string(library) + " is too old");
+  version = found->version();
+}
+
+struct Tensor {
+  int bind;
+  const char* name;
+  void* data;
+  size_t bytes;
+  int type;
+  std::vector<int64_t> shape;
+};
+
+static void network(int64_t* session, const std::string& path, const std::vector<Tensor>& tensors) {
+  static void* const environment = made(CreateEnv, SEVERE, "unicon");
+  void* options = made(CreateSessionOptions);
+  for (auto& option : OPTIONS) ort(option[0], options, option[1]);
+  ort(AddSessionConfigEntry, options, SPINNING, "0");
+  void* opened = made(CreateSession, environment, path.c_str(), options);
+  void* binding = made(CreateIoBinding, opened);
+  void* memory = made(CreateCpuMemoryInfo, 0, 0);
+  for (auto& each : tensors) {
+    void* value = made(CreateTensorWithDataAsOrtValue, memory, each.data, each.bytes,
+                       each.shape.data(), each.shape.size(), each.type);
+    ort(each.bind, binding, each.name, value);
+  }
+  session[0] = (int64_t)api[RunWithBinding];
+  session[1] = (int64_t)opened;
+  session[2] = (int64_t)binding;
+}
+
+// -- ticks ---------------------------------------------------------------------------------------
+
+static bool opened = false;
+static void open_networks(const char* library, const std::string& folder);
+
+// As the damping command of unicon: targets stay, stiffness falls to zero, damping is the robot's.
+static void damp(unicon_tick_output* output) {
+  auto& sent = arena.sent;
+  const size_t joints = sizeof(POSE) / sizeof(float);
+  if (!arena.any) {
+    const float* measured = unicon_states()->joint_pos;
+    for (size_t i = 0; i < joints; ++i)
+      sent.joint_pos_target[i] = finite(measured[i]) ? measured[i] : POSE[i];
+  }
+  arena.any = 1;
+  arena.share = arena.share > DAMPING_STEP ? arena.share - DAMPING_STEP : 0.0;
+  *output = sent;
+  for (size_t i = 0; i < joints; ++i) {
+    output->joint_vel_target[i] = output->joint_effort_ff[i] = 0.0f;
+    output->joint_stiffness[i] = sent.joint_stiffness[i] * (float)arena.share;
+    if (finite(DAMPING[i])) output->joint_damping[i] = DAMPING[i];
+  }
+}
+
+extern "C" {
+
+struct unicon_tick_states* unicon_states(void) { return (unicon_tick_states*)arena.memory; }
+
+const char* unicon_onnxruntime(void) { return version; }
+
+const char* unicon_block_name(int number) {
+  return number < 1 || number > BLOCKS ? "" : NAMES[number - 1];
+}
+
+size_t unicon_size(void) { return sizeof arena; }
+
+void unicon_snapshot(void* memory) { memcpy(memory, &arena, sizeof arena); }
+
+void unicon_restore(const void* memory) {
+  memcpy(&arena, memory, sizeof arena);
+  if (!opened) arena.fault = 1;
+}
+
+void unicon_reset(void) {
+  memset(&arena, 0, sizeof arena);
+  memcpy(arena.memory, IMAGE, sizeof IMAGE);
+  arena.share = 1.0;
+  arena.fault = !opened;
+}
+
+const char* unicon_open(const char* library, const char* folder) {
+  static std::string wrong;
+  try {
+    opened = false;
+    bind();
+    open_networks(library, std::string(folder) + "/");
+    opened = true;
+  } catch (const std::exception& error) {
+    wrong = error.what();
+  }
+  unicon_reset();
+  return opened ? 0 : wrong.c_str();
+}
+
+int unicon_step(const struct unicon_tick_input* input, struct unicon_tick_output* output) {
+  if (!opened) arena.fault = 1;
+  for (auto& each : INPUTS) memcpy(arena.memory + each[0], (const char*)input + each[1], each[2]);
+  bool done = false;
+  if (!arena.fault) done = step() > 0;
+  if (!arena.fault) {
+    memset(output, 0, sizeof *output);
+    for (auto& each : OUTPUTS) memcpy((char*)output + each[1], arena.memory + each[0], each[2]);
+    arena.sent = *output;
+    arena.any = 1;
+    done |= deferred() > 0;
+  }
+  *(int64_t*)(arena.memory + TICK) += 1;
+  if (arena.fault) damp(output);
+  return arena.fault ? (int)arena.fault : done ? UNICON_DONE : 0;
+}
+
+}  // extern "C"
