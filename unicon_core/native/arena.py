@@ -3,66 +3,54 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from unicon_base.arrays import Array, UInt8
 from unicon_base.errors import WorkflowError
-from unicon_core.states import States
 from unicon_core.states.layout import ALIGNMENT
 
 
 class Arena:
-    """Arrays in one piece of memory, each as far from those that it shares bytes with as before.
+    """Places for arrays, each as far from those that it shares bytes with as it is here.
 
     Args:
-        states: lie at its beginning.
-        arrays: that follow.
+        arrays: the first one, which shares bytes with no array before it, lies at the beginning.
 
     Attributes:
         nbytes: length of all.
     """
 
-    def __init__(self, states: States, arrays: list[Array]) -> None:
-        self._keep = states, arrays
-        spans = sorted(map(_span, [states.buffer, *arrays]))
+    def __init__(self, arrays: Sequence[Array]) -> None:
+        self._keep = arrays
+        begin = _span(arrays[0])[0]
         joined: list[list[int]] = []
-        for first, last in spans:
+        for first, last in sorted(map(_span, arrays)):
             if joined and first < joined[-1][1]:
                 joined[-1][1] = max(joined[-1][1], last)
             else:
                 joined.append([first, last])
-        begin, _ = _span(states.buffer)
-        self._places: list[tuple[int, int, int]] = []  # first, last, offset
         self.nbytes = 0
+        self._places: list[tuple[int, int, UInt8]] = []  # address, offset, bytes
         for first, last in sorted(joined, key=lambda each: each[0] != begin):
             at = self.nbytes + (first - begin - self.nbytes) % ALIGNMENT
-            self._places.append((first, last, at))
+            data = (ctypes.c_uint8 * (last - first)).from_address(first)
+            self._places.append((first, at, np.ctypeslib.as_array(data)))
             self.nbytes = at + last - first
-        self.nbytes += -self.nbytes % 8
-        self._memories = [
-            np.ctypeslib.as_array((ctypes.c_uint8 * (last - first)).from_address(first))
-            for first, last, _ in self._places
-        ]
 
     def at(self, array: Array) -> str:
-        """Return where an array begins, in C++.
+        """Return where an array of them begins, in C++."""
+        first = _span(array)[0]
+        places = (at + first - a for a, at, data in self._places if a <= first < a + data.size)
+        return f"arena.memory + {next(places)}"
 
-        Raises:
-            StopIteration: it does not lie here.
-        """
-        where, _ = _span(array)
-        offset = next(at + where - f for f, last, at in self._places if f <= where < last)
-        return f"arena.memory + {offset}"
-
-    def image(self) -> str:
-        """Return all bytes as they are now, as the definition of `IMAGE`."""
-        data = np.zeros(self.nbytes, np.uint8)
-        for (first, last, at), memory in zip(self._places, self._memories):
-            data[at : at + last - first] = memory
-        words = ", ".join(map(hex, data.view(np.uint64).tolist()))
-        return f"static const uint64_t IMAGE[] = {{{words}}};"
+    def content(self) -> UInt8:
+        """Return all bytes as they are now, zero between the places."""
+        content = np.zeros(self.nbytes, np.uint8)
+        for _, at, data in self._places:
+            content[at : at + data.size] = data
+        return content
 
     def effect(self, function: Callable[[], object], name: str) -> str:
         """Return statements that write what a function writes, whatever there was before.
@@ -70,38 +58,31 @@ class Arena:
         Raises:
             WorkflowError: that depends on what there was.
         """
-        before = np.concatenate(self._memories)
+        before = self.content()
         fill = np.random.default_rng(0).integers(0, 256, before.size, np.uint8)
-        after = []
+        written, after = np.zeros(before.size, bool), []
         for values in (fill, ~fill):
-            self._put(values)
+            self._write(values)
+            filled = self.content()
             try:
                 function()
-                after.append(np.concatenate(self._memories))
+                after.append(self.content())
             finally:
-                self._put(before)
-        written = (after[0] != fill) | (after[1] != ~fill)
+                self._write(before)
+            written |= after[-1] != filled
         if (after[0] != after[1])[written].any():
-            raise WorkflowError(
-                f"{name} depends on memory, which C++ does not repeat; leave it out"
-            )
-        offsets = np.concatenate([np.arange(at, at + e - f) for f, e, at in self._places])[written]
-        values = after[0][written]
+            raise WorkflowError(f"{name} depends on memory, which C++ cannot repeat; leave it out")
         lines = []
-        for run in np.split(np.arange(values.size), np.flatnonzero(np.diff(offsets) != 1) + 1):
-            if run.size:
-                said = ", ".join(map(str, values[run].tolist()))
-                lines.append(
-                    f"{{ static const uint8_t x[] = {{{said}}}; "
-                    f"__builtin_memcpy(arena.memory + {offsets[run[0]]}, x, sizeof x); }}"
-                )
-        return "\n".join(lines)
+        (places,) = written.nonzero()
+        for run in np.split(places, np.flatnonzero(np.diff(places) != 1) + 1):
+            said = ", ".join(map(str, after[0][run]))
+            lines.append(f"{{ static const uint8_t x[] = {{{said}}}; ")
+            lines.append(f"__builtin_memcpy(arena.memory + {min(run)}, x, sizeof x); }}")
+        return "\n".join(lines) if places.size else ""
 
-    def _put(self, values: UInt8) -> None:
-        at = 0
-        for memory in self._memories:
-            memory[...] = values[at : at + memory.size]
-            at += memory.size
+    def _write(self, content: UInt8) -> None:
+        for _, at, data in self._places:
+            data[...] = content[at : at + data.size]
 
 
 def _span(array: Array) -> tuple[int, int]:

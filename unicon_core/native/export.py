@@ -7,25 +7,34 @@ What a block's `reset` writes is observed: constants at fixed places, or the blo
 
 from __future__ import annotations
 
+import ast
+import json
 import os
+import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
-from unicon_base.arrays import Array
-from unicon_base.errors import Fault, UniconError, WorkflowError, cannot
-from unicon_core.flow.block import Block, Stage
-from unicon_core.flow.compiled import Lines
+from unicon_base.arrays import Int64
+from unicon_base.errors import Fault, WorkflowError, cannot
+from unicon_base.generated import parse
+from unicon_core.flow.block import Stage
+from unicon_core.flow.compiled import Lines, Scope, indent
 from unicon_core.flow.compiler import compile_graph
-from unicon_core.flow.nodes import blocks_of
-from unicon_core.native.controller import ControllerGraph
+from unicon_core.flow.nodes import Node, blocks_of
+from unicon_core.native import network
+from unicon_core.native.arena import Arena
+from unicon_core.native.operands import PRELUDE
+from unicon_core.native.pieces import Piece
+from unicon_core.native.stretches import STEPS, Stretches
 from unicon_core.native.tick import clean
-from unicon_core.page import ROOM
 from unicon_core.platforms.kit.damping import BLEND
+from unicon_core.states import States
 from unicon_core.states.c_header import c_struct
 from unicon_core.states.groups import Copies, subset
 from unicon_core.states.layout import Layout
@@ -50,143 +59,289 @@ def export(document: WorkflowDocument, folder: Path, ticks: int) -> None:
         UniconError: blocks that run in Python, each with the reason; no simulator; a fault in the
             recorded run; a folder that holds something or cannot be written.
     """
-    with cannot(f"export into {folder}", ROOM):
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise UniconError(f"{folder} exists and is no empty folder; remove it or name another")
-        folder.parent.mkdir(parents=True, exist_ok=True)
     program = Program(document, dry=True)
     try:
-        if not program.platform.facts.simulated or program.states.num_robots is not None:
-            raise WorkflowError(
-                f"{program.name} is exported of one simulated robot, whose run gives the recorded "
-                "vectors; use --set platform=mujoco, and leave out num_robots"
-            )
-        files, models = _Controller(program).files(ticks)
+        files, networks = _project(program, ticks)
     finally:
         program.close()
-    with (
-        cannot(f"export into {folder}", ROOM),
-        TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as made,
+    with cannot(f"export into {folder}", "name an absent or empty folder where there is room"):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as made:
+            part = Path(made, "project")
+            part.mkdir()
+            for name, content in files.items():
+                part.joinpath(name).write_bytes(content)
+            for number, piece in enumerate(networks):
+                models = part / f"network{number}"
+                models.mkdir()
+                model, *weights = piece.files
+                shutil.copyfile(model, models / "model.onnx")
+                for each in weights:  # the model finds them by their names
+                    shutil.copyfile(each, models / each.name)
+            os.rename(part, folder)
+
+
+def _project(program: Program, ticks: int) -> tuple[dict[str, bytes], list[Piece]]:
+    """Return the files of a project by name, and its networks."""
+    facts, states, robot = program.platform.facts, program.states, program.robot
+    if (
+        not facts.simulated
+        or states.num_robots is not None
+        or not {*COMMAND_STATES}.issubset(facts.reads)
     ):
-        part = Path(made, "project")
-        part.mkdir()
-        for name, content in files.items():
-            (part / name).write_bytes(content)
-        for name, sources in models.items():
-            (part / name).mkdir()
-            for number, source in enumerate(sources):
-                # The others are found by their names, which stand in the model.
-                shutil.copyfile(source, part / name / (source.name if number else "model.onnx"))
-        os.rename(part, folder)
-
-
-class _Controller:
-    """The controller of a program whose platform is not used yet."""
-
-    def __init__(self, program: Program) -> None:
-        self._program, self._states = program, program.states
-        stages = program.stages
-        self._recv, self._send = (
-            *blocks_of(stages[Stage.RECV][0]),
-            *blocks_of(stages[Stage.SEND][-1]),
+        raise WorkflowError(
+            f"{program.name} has to be of one simulated robot, whose run gives the recorded "
+            "vectors; use --set platform=mujoco, and leave out num_robots"
         )
-        self._root, _ = tick_tree({**stages, Stage.OBSERVE: []}, self._states)
-        facts, blocks = program.platform.facts, blocks_of(self._root)
-        read = {name for block in blocks for name in (*block.reads, *block.amends)}
-        layout = self._states.layout
-        self._input = subset(layout, read.intersection(facts.writes))
-        self._output = subset(layout, facts.reads)
-        if lacking := [name for name in COMMAND_STATES if name not in facts.reads]:
-            raise WorkflowError(
-                f"platform {facts.name!r} does not send {', '.join(lacking)}, which damping needs; "
-                "use --set platform=mujoco"
-            )
+    root, _ = tick_tree({**program.stages, Stage.OBSERVE: []}, states)
+    blocks = blocks_of(root)
+    recv, send = (
+        next(block for block in blocks if block.stage is stage)
+        for stage in (Stage.RECV, Stage.SEND)
+    )
+    graph = Controller(program.name)
+    for block in (recv, send):
+        graph.given_to_caller(block)
+    compile_graph(root, native=graph)
+    read = {name for block in blocks for name in (*block.reads, *block.amends)}
+    layout = states.layout
+    structs = {
+        "tick_input": subset(layout, read.intersection(facts.writes)),
+        "tick_output": subset(layout, facts.reads),
+        "tick_states": layout,
+    }
+    first = States(structs["tick_output"])
+    first["joint_pos_target"] = np.nan_to_num(robot.default_joint_pos)
+    files = {path.name: path.read_text() for path in Path(__file__).with_name("cpp").iterdir()}
+    for word, value in {
+        "@NAME@": clean(program.name),
+        "@PERIOD@": f"{program.period:g}",
+        "@BLEND@": f"{BLEND:g}",
+        "@STRUCTS@": "\n".join(c_struct(name, each) for name, each in structs.items()),
+    }.items():
+        files["controller.h"] = files["controller.h"].replace(word, value)
+    moved = (
+        f"static const size_t {name.upper()}[][3] = {{"
+        + ", ".join(
+            f"{{{layout.slots[state].offset}, {slot.offset}, {slot.nbytes}}}"
+            for state, slot in structs[name].slots.items()
+        )
+        + "};"
+        for name in ("tick_input", "tick_output")
+    )
+    files["controller.cpp"] = graph.project(
+        states, first.buffer, np.array(robot.joint_damping, np.float32),
+        [*moved, f"static const double DAMPING_STEP = {program.period / BLEND!r};"],
+    )  # fmt: skip
+    written = {name: text.encode() for name, text in files.items()}
 
-    def files(self, ticks: int) -> tuple[dict[str, bytes], dict[str, tuple[Path, ...]]]:
-        """Return what is generated by name, and the files of each network by its folder."""
-        graph = ControllerGraph(self._program.name, (self._recv, self._send))
-        compile_graph(self._root, native=graph)
-        structs = {
-            "input": self._input, "output": self._output, "states": self._states.layout
-        }  # fmt: skip
-        files = {path.name: path.read_text() for path in Path(__file__).with_name("cpp").iterdir()}
-        values = {
-            "@NAME@": clean(self._program.name), "@PERIOD@": f"{self._program.period:g}",
-            "@BLEND@": f"{BLEND:g}",
-            "@STRUCTS@": "\n".join(c_struct(f"tick_{n}", each) for n, each in structs.items()),
-        }  # fmt: skip
-        for word, value in values.items():
-            files["controller.h"] = files["controller.h"].replace(word, value)
-        files["controller.cpp"] = graph.project(self._states, self._facts())
-        written = {name: text.encode() for name, text in files.items()}
-        written["vectors.bin"] = self._vectors(ticks, bool(graph.networks))
-        return written, {f"network{i}": piece.files for i, piece in enumerate(graph.networks)}
+    def recorder(layout: Layout, rows: list[bytes]) -> Callable[[], None]:
+        packed = bytearray(layout.nbytes)
+        copies = Copies(states, layout, memoryview(packed))
 
-    def _facts(self) -> Lines:
-        """Return what the runtime has to know of states, robot and blocks, in C++."""
-        robot, layout = self._program.robot, self._states.layout
+        def record() -> None:
+            copies.pack()
+            rows.append(bytes(packed))
 
-        def moved(name: str, part: Layout) -> str:
-            rows = ", ".join(
-                f"{{{layout.slots[n].offset}, {slot.offset}, {slot.nbytes}}}"
-                for n, slot in part.slots.items()
-            )
-            return f"static const size_t {name}[][3] = {{{rows}}};"
+        return record
 
-        def numbers(name: str, values: Array) -> str:
-            text = ", ".join(
-                f"{float(each).hex()}f" if np.isfinite(each) else '__builtin_nanf("")'
-                for each in values.astype(np.float32)
-            )
-            return f"static const float {name}[] = {{{text}}};"
+    inputs, outputs = list[bytes](), list[bytes]()
+    received = recorder(structs["tick_input"], inputs)
+    sent = recorder(structs["tick_output"], outputs)
+    take, give = recv.tick, send.tick
+    recv.tick = lambda: (take(), received())[0]
+    send.tick = lambda: (sent(), give())[1]
+    try:
+        done = _ran(root, states, ticks)
+    except Fault as fault:
+        raise WorkflowError(
+            f"{program.name}: the recorded run ends with a fault in tick {len(inputs)}: {fault}; "
+            "correct the workflow, or give fewer --ticks"
+        ) from fault
+    version = import_module("onnxruntime").__version__ if graph.networks else "none"
+    words = len(outputs), int(done), len(inputs[0]), len(outputs[0]), version, _cpu_features()
+    written["vectors.bin"] = f"{' '.join(map(str, words))}\n".encode() + b"".join(inputs + outputs)
+    return written, graph.networks
 
-        return [
-            moved("INPUTS", self._input),
-            moved("OUTPUTS", self._output),
-            numbers("POSE", np.nan_to_num(robot.default_joint_pos)),
-            numbers("DAMPING", robot.joint_damping),
-            f"static const double DAMPING_STEP = {self._program.period / BLEND!r};",
-            f"static const size_t TICK = {layout.slots['tick'].offset};",
-        ]
 
-    def _vectors(self, ticks: int, networks: bool) -> bytes:
-        """Run the Python tick in simulation; return each tick's input and output with a header."""
-
-        def recorder(layout: Layout, rows: list[bytes]) -> Callable[[], None]:
-            packed = bytearray(layout.nbytes)
-            copies = Copies(self._states, layout, memoryview(packed))
-
-            def record() -> None:
-                copies.pack()
-                rows.append(bytes(packed))
-
-            return record
-
-        inputs, outputs = list[bytes](), list[bytes]()
-        recv, send = self._recv.tick, self._send.tick
-        received, sent = recorder(self._input, inputs), recorder(self._output, outputs)
-        self._recv.tick = lambda: (recv(), received())[0]
-        self._send.tick = lambda: (sent(), send())[1]
-        graph, done = compile_graph(self._root), False
-        try:
-            while not done and len(outputs) < ticks:
-                done = graph.step()
-                done = graph.deferred() or done
-                self._states["tick"][...] += 1
-        except Fault as fault:
-            raise WorkflowError(
-                f"{self._program.name}: the recorded run ends with a fault in tick "
-                f"{len(inputs)}: {fault}; correct the workflow, or give fewer --ticks"
-            ) from fault
-        version = import_module("onnxruntime").__version__ if networks else "none"
-        sizes = self._input.nbytes, self._output.nbytes
-        words = len(outputs), int(done), *sizes, version, _cpu_features()
-        return b"".join([(" ".join(map(str, words)) + "\n").encode(), *inputs, *outputs])
+def _ran(root: Node, states: States, ticks: int) -> bool:
+    """Run a tree in Python, for so many ticks at most; return whether the last one was done."""
+    graph, done = compile_graph(root), False
+    for _ in range(ticks):
+        done = graph.step()
+        done = graph.deferred() or done
+        states["tick"][...] += 1
+        if done:
+            break
+    return done
 
 
 def _cpu_features() -> str:
     lines = Path("/proc/cpuinfo").read_text().splitlines()
-    words = next(
-        (line.split(":")[1] for line in lines if line.startswith(("flags", "Features"))), ""
-    )
+    words = next((line for line in lines if line.startswith(("flags", "Features"))), "")
     return ",".join(sorted({w for w in words.split() if w.startswith(_CPU)})) or "none"
+
+
+class Controller(Stretches):
+    """The C++ of one graph, all of it.
+
+    Args:
+        workflow: its name, for errors.
+
+    Attributes:
+        networks: in the order of their folders.
+    """
+
+    def __init__(self, workflow: str) -> None:
+        super().__init__()
+        self.networks: list[Piece] = []
+        self._workflow, self._locals = workflow, set[str]()
+        self._resets: dict[str, Callable[[], object]] = {}
+
+    def given_to_caller(self, block: Any) -> None:
+        """Let a block do nothing here; before the graph is compiled."""
+        self._pieces[id(block)] = [Piece(block.name, block.tick, "")]
+
+    def rewrite(self, scope: Scope, functions: dict[str, Lines], stamps: Int64) -> dict[str, Lines]:
+        """Make the functions in C++, and leave those in Python as they are.
+
+        Raises:
+            WorkflowError: blocks run in Python; with their names and why.
+        """
+        self.scope, self._python = scope, set()
+        self._outlined = dict(scope.functions)
+        every = self._outlined | functions
+        self._inside = {*every}
+        steps = {name: parse("\n".join(every[name])).body for name in every if STEPS.match(name)}
+        for piece in (piece for pieces in self._pieces.values() for piece in pieces):
+            if piece.text is None or "PYTHON" in piece.text:
+                self.python[piece.name] = piece.why or "C++ does a part of it only"
+        if not self.python and not all(
+            self.is_native(each) for body in steps.values() for each in body
+        ):
+            self.python["switch"] = "it has no twin"
+        if self.python:
+            told = "; ".join(f"{name}: {why}" for name, why in self.python.items())
+            raise WorkflowError(
+                f"{self._workflow} cannot do without Python ({told}); leave these blocks out, or "
+                "use those with a C++ twin, which `unicon show --source=cpp` lists"
+            )
+        for name, body in steps.items():
+            self._locals.clear()
+            lines = [line for statement in body for line in self.cpp(statement)]
+            held = [f"int64_t {each} = 0;" for each in ["c", *sorted(self._locals)]]
+            self.functions += [f"static int64_t {name}() {{", *indent([*held, "(void)c;", *lines])]
+            self.functions.append("}")
+        return functions
+
+    # -- statements ------------------------------------------------------------------------------
+
+    def is_native(self, statement: ast.stmt) -> bool:
+        return isinstance(statement, ast.Return) or super().is_native(statement)
+
+    def callable(self, name: str) -> bool:
+        return super().callable(name) or name.startswith("part")
+
+    def cpp(self, statement: ast.stmt) -> Iterator[str]:
+        if isinstance(statement, ast.Return) and statement.value is not None:
+            yield f"return {self.expression(statement.value)};"
+        else:
+            yield from super().cpp(statement)
+
+    def place(self, name: str) -> str:
+        if name in self.scope.state:
+            return super().place(name)
+        self._locals.add(f"t_{name}")
+        return f"t_{name}"
+
+    def given(self, name: str, kind: str, value: str) -> str:
+        return f"{self.place(name)} = {value};"
+
+    def asked(self, name: str) -> str:
+        if name.startswith("reset"):
+            self._resets[name] = self.scope.names[name]
+        return f"{name}()"
+
+    # -- the project -----------------------------------------------------------------------------
+
+    def project(self, states: States, sent: Any, damping: Any, facts: Lines) -> str:
+        """Return controller.cpp; the arrays hold what the first tick begins with.
+
+        Args:
+            states: of the program.
+            sent: what counts as sent before the first tick, as bytes of an output.
+            damping: of the robot, NaN where it is not known, float32, shape (n,).
+            facts: further lines.
+        """
+        table = self.table
+        counters = np.array([*(self.scope.state[name] for name in self.places), 0], np.int64)
+        used = {name for text in self.functions for name in re.findall(r"\bb\d+\w*(?=\(\))", text)}
+        pieces = {name: piece for name, (piece, _) in self.texts.items() if name in used}
+        names = ["unicon_open, which has not succeeded", *(p.name for p in pieces.values())]
+        self.networks = [piece for piece in pieces.values() if piece.session is not None]
+        sessions = {id(piece.session): f"session{i}" for i, piece in enumerate(self.networks)}
+        arrays = [array for array in table.arrays if id(array) not in sessions]
+        arena = Arena([states.buffer, *arrays, counters, sent, damping])
+        bound = [sessions.get(id(array)) or arena.at(array) for array in table.arrays]
+        return "\n".join(
+            [
+                f"// The tick of {clean(self._workflow)}, written by `unicon export`.",
+                '#include "controller.h"',
+                PRELUDE,
+                "#define DATA",
+                f"static struct {{ alignas(64) unsigned char memory[{arena.nbytes}];",
+                "  double share; int64_t any, fault; } arena;",
+                "static int64_t failed(int block) { arena.fault = block; return -1; }",
+                f"static const uint8_t IMAGE[] = {{{', '.join(map(str, arena.content()))}}};",
+                f"static const char* const NAMES[] = {{{', '.join(map(json.dumps, names))}}};",
+                *(f"static int64_t {name}[3];" for name in sessions.values()),
+                f"[[maybe_unused]] static auto v = (int64_t*)({arena.at(counters)});",
+                f"static auto sent = (unicon_tick_output*)({arena.at(sent)});",
+                f"static auto damping = (const float*)({arena.at(damping)});",
+                f"static auto ticks = (int64_t*)({arena.at(states['tick'])});",
+                *table.declarations,
+                *(
+                    f"static int64_t {name}() {{\n{_alone(piece.text, number)}\nreturn 0;\n}}"
+                    for number, (name, piece) in enumerate(pieces.items(), 2)
+                ),
+                *(
+                    f"static int64_t {name}() {{\n{arena.effect(reset, name)}\nreturn 0;\n}}"
+                    for name, reset in self._resets.items()
+                ),
+                *self.functions,
+                *facts,
+                f"enum {{ {', '.join(f'{n} = {i}' for n, i in network.PLACES.items())},",
+                f"VERSION = {network.VERSION}, SEVERE = {network.SEVERE}, BLOCKS = {len(names)} }};",
+                f'static const char SPINNING[] = "{network.SPINNING}";',
+                "static const int OPTIONS[][2] = {",
+                *(f"{{{name}, {value}}}," for name, value in network.OPTIONS.items()),
+                "};",
+                '#include "runtime.h"',
+                "static void open_all(const char* library, const std::string& folder) {",
+                f"void* const t[] = {{{', '.join(bound)}}};",
+                *table.bindings,
+                *(["load(library);"] if self.networks else []),
+                *(
+                    line
+                    for number, piece in enumerate(self.networks)
+                    for line in _opened(number, piece, arena)
+                ),
+                "}",
+                "",
+            ]
+        )
+
+
+def _alone(text: str | None, number: int) -> str:
+    return (text or "").replace("WARN;", "").replace("BAIL", f"return failed({number})")
+
+
+def _opened(number: int, piece: Piece, arena: Arena) -> Iterator[str]:
+    """Yield what opens a network, in C++."""
+    yield f'network(session{number}, folder + "/network{number}/model.onnx", {{'
+    for bind, arrays in zip(("BindInput", "BindOutput"), piece.arrays):
+        for name, array in arrays.items():
+            kind, shape = network.TYPES[array.dtype.name], ", ".join(map(str, array.shape))
+            place = f"{arena.at(array)}, {array.nbytes}, {kind}, {{{shape}}}"
+            yield f"{{{bind}, {json.dumps(name)}, {place}}},"
+    yield "});"

@@ -69,25 +69,21 @@ static void network(int64_t* session, const std::string& path, const std::vector
 // -- ticks ---------------------------------------------------------------------------------------
 
 static bool opened = false;
-static void open_networks(const char* library, const std::string& folder);
+static void open_all(const char* library, const std::string& folder);
 
-// As the damping command of unicon: targets stay, stiffness falls to zero, damping is the robot's.
+// As the damping command of unicon: targets stay, stiffness falls, damping is the robot's.
 static void damp(unicon_tick_output* output) {
-  auto& sent = arena.sent;
-  const size_t joints = sizeof(POSE) / sizeof(float);
-  if (!arena.any) {
-    const float* measured = unicon_states()->joint_pos;
-    for (size_t i = 0; i < joints; ++i)
-      sent.joint_pos_target[i] = finite(measured[i]) ? measured[i] : POSE[i];
+  const float* measured = unicon_states()->joint_pos;
+  arena.share = larger(arena.share - DAMPING_STEP, 0.0);
+  *output = *sent;
+  each(sizeof sent->joint_pos_target / sizeof(float)) {
+    if (!arena.any && finite(measured[i])) sent->joint_pos_target[i] = measured[i];
+    output->joint_pos_target[i] = sent->joint_pos_target[i];
+    output->joint_vel_target[i] = output->joint_effort_ff[i] = 0.0f;
+    output->joint_stiffness[i] = sent->joint_stiffness[i] * (float)arena.share;
+    if (finite(damping[i])) output->joint_damping[i] = damping[i];
   }
   arena.any = 1;
-  arena.share = arena.share > DAMPING_STEP ? arena.share - DAMPING_STEP : 0.0;
-  *output = sent;
-  for (size_t i = 0; i < joints; ++i) {
-    output->joint_vel_target[i] = output->joint_effort_ff[i] = 0.0f;
-    output->joint_stiffness[i] = sent.joint_stiffness[i] * (float)arena.share;
-    if (finite(DAMPING[i])) output->joint_damping[i] = DAMPING[i];
-  }
 }
 
 extern "C" {
@@ -104,45 +100,42 @@ size_t unicon_size(void) { return sizeof arena; }
 
 void unicon_snapshot(void* memory) { memcpy(memory, &arena, sizeof arena); }
 
-void unicon_restore(const void* memory) {
-  memcpy(&arena, memory, sizeof arena);
-  if (!opened) arena.fault = 1;
-}
+void unicon_restore(const void* memory) { memcpy(&arena, memory, sizeof arena); }
 
 void unicon_reset(void) {
-  memset(&arena, 0, sizeof arena);
   memcpy(arena.memory, IMAGE, sizeof IMAGE);
   arena.share = 1.0;
-  arena.fault = !opened;
+  arena.any = arena.fault = 0;
 }
 
 const char* unicon_open(const char* library, const char* folder) {
   static std::string wrong;
+  opened = false;
+  unicon_reset();
   try {
-    opened = false;
-    bind();
-    open_networks(library, std::string(folder) + "/");
-    opened = true;
+    open_all(library, folder);
   } catch (const std::exception& error) {
     wrong = error.what();
+    return wrong.c_str();
   }
-  unicon_reset();
-  return opened ? 0 : wrong.c_str();
+  opened = true;
+  return 0;
 }
 
 int unicon_step(const struct unicon_tick_input* input, struct unicon_tick_output* output) {
-  if (!opened) arena.fault = 1;
-  for (auto& each : INPUTS) memcpy(arena.memory + each[0], (const char*)input + each[1], each[2]);
   bool done = false;
+  if (!opened) arena.fault = 1;
+  for (auto& each : TICK_INPUT)
+    memcpy(arena.memory + each[0], (const char*)input + each[1], each[2]);
   if (!arena.fault) done = step() > 0;
   if (!arena.fault) {
-    memset(output, 0, sizeof *output);
-    for (auto& each : OUTPUTS) memcpy((char*)output + each[1], arena.memory + each[0], each[2]);
-    arena.sent = *output;
+    for (auto& each : TICK_OUTPUT)
+      memcpy((char*)sent + each[1], arena.memory + each[0], each[2]);
+    *output = *sent;
     arena.any = 1;
     done |= deferred() > 0;
   }
-  *(int64_t*)(arena.memory + TICK) += 1;
+  *ticks += 1;
   if (arena.fault) damp(output);
   return arena.fault ? (int)arena.fault : done ? UNICON_DONE : 0;
 }
