@@ -134,7 +134,7 @@ def package_data() -> dict[str, list[str]]:
         package: [
             Path(path).relative_to(package).as_posix()
             for path in files_below(package)
-            if path.endswith((".h", ".html", ".js", ".json", ".msg", "py.typed"))
+            if path.endswith((".cpp", ".h", ".html", ".js", ".json", ".msg", ".txt", "py.typed"))
         ]
         for package in ROOMS
     }

@@ -75,10 +75,12 @@ class Arena:
         lines = []
         (places,) = written.nonzero()
         for run in np.split(places, np.flatnonzero(np.diff(places) != 1) + 1):
+            if not run.size:
+                break
             said = ", ".join(map(str, after[0][run]))
             lines.append(f"{{ static const uint8_t x[] = {{{said}}}; ")
-            lines.append(f"__builtin_memcpy(arena.memory + {min(run)}, x, sizeof x); }}")
-        return "\n".join(lines) if places.size else ""
+            lines.append(f"__builtin_memcpy(arena.memory + {run[0]}, x, sizeof x); }}")
+        return "\n".join(lines)
 
     def _write(self, content: UInt8) -> None:
         for _, at, data in self._places:

@@ -15,7 +15,9 @@ static auto& kept = *new std::vector<void*>;  // as long as the process: a step 
 
 template <class... A> static void ort(int place, A... arguments) {
   void* status = ((void* (*)(A...))api[place])(arguments...);
-  if (status) throw std::runtime_error(((const char* (*)(void*))api[GetErrorMessage])(status));
+  if (!status) return;
+  kept.push_back(status);
+  throw std::runtime_error(((const char* (*)(void*))api[GetErrorMessage])(status));
 }
 
 template <class... A> static void* made(int place, A... arguments) {

@@ -1,0 +1,259 @@
+"""`unicon export --cpp`: refusals, header and folder; slow: compiled without Python, exact."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from unicon_base.errors import WorkflowError
+from unicon_core.native import build
+from unicon_core.native.arena import Arena
+from unicon_core.runtime.rollouts import Rollouts
+from unicon_core.workflow import Program, load_document
+from unicon_ros.cli.main import main
+
+pytest.importorskip("mujoco")
+pytest.importorskip("onnxruntime")
+
+MIXED = """
+schema: unicon.workflow/1
+name: mixed
+robot: go2
+platform: mujoco
+scene: {initial_pose: rest}
+policies: {walk: go2_velocity}
+rate: 50
+commands: [{velocity_command: {constant: [3.0, 0.0, 0.2], ramp: 2.0}}]   # beyond its bounds
+flow:
+  chain:
+    - pose: {to: stand, duration: 1.0}
+    - loop: {do: {policy: walk}, until: "tick > 120"}
+    - hold: {duration: 0.2}
+    - loop: {do: NESTED, until: {elapsed: 1.0}}
+    - pose: {to: rest, duration: 0.5, fade_in: 0.2}
+    - damp: {duration: 0.2}
+safety:
+  - finite
+  - joint_limits
+  - rate_limit
+  - effort_limits
+  - velocity_stop: {limit: 60.0}
+  - tilt_stop
+  - stale_stop: {timeout: 1.0}
+"""
+WORKFLOWS = {"go2_walk": 1000, "g1_walk": 1000, "mixed": 400}
+
+
+def exported(folder: Path, workflow: str, *words: str) -> int:
+    return main(["export", workflow, "--cpp", str(folder), *words])
+
+
+def mixed(folder: Path) -> str:
+    path = folder / "mixed.yaml"
+    nested = "{policy: walk}"
+    for _ in range(13):  # the compiler puts deep levels into functions of their own
+        nested = f"{{chain: [{nested}]}}"
+    path.write_text(MIXED.replace("NESTED", nested))
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["go2_stand"], "go2_stand cannot do without Python (sway: it has no twin); leave these"),
+        (["go2_teleop"], r"\(switch: it has no twin\)"),
+        (["go2_stand", "--set", "platform=unitree"], "use --set platform=mujoco"),
+        (["go2_stand", "--set", "num_robots=2"], "leave out num_robots"),
+    ],
+)
+def test_what_cannot_be_exported(
+    words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert exported(tmp_path / "out", *words) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert re.search(said.replace("(sway", r"\(sway").replace("twin);", r"twin\);"), line)
+    assert not [*tmp_path.iterdir()]
+
+
+def test_a_folder_that_is_taken(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    full, file = tmp_path / "full", tmp_path / "file"
+    full.mkdir()
+    full.joinpath("mine").write_text("mine")
+    file.write_text("mine")
+    for folder in (full, file, file / "below"):
+        assert exported(folder, "h1_stand", "--ticks", "2") == 1
+        (line,) = capsys.readouterr().err.splitlines()
+        assert f"cannot export into {folder}" in line
+        assert "absent or empty folder" in line
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["file", "full", "mine"]
+    assert file.read_text() == "mine"
+
+
+def test_a_full_disk_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    assert exported(tmp_path / "out", "h1_stand", "--ticks", "2") == 1
+    assert "No space left on device; name" in capsys.readouterr().err
+    assert not [*tmp_path.iterdir()]
+
+
+def test_the_header_says_where_states_lie(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()  # an empty one is fine
+    assert exported(tmp_path / "out", "h1_stand", "--ticks", "3") == 0
+    text = (tmp_path / "out" / "controller.h").read_text()
+    program = Program(load_document("h1_stand"), dry=True)
+    for name, slot in program.states.layout.slots.items():
+        assert f"(struct unicon_tick_states, {name}, {slot.offset}, {slot.nbytes})" in text
+    program.close()
+    assert "/* joint positions; rad: " in text
+    first, _, rest = (tmp_path / "out" / "vectors.bin").read_bytes().partition(b"\n")
+    ticks, done, into, out, version, cpu = first.decode().split()
+    assert (ticks, done, version) == ("3", "0", "none")
+    assert len(rest) == 3 * (int(into) + int(out))
+    assert cpu
+    if compiler := shutil.which("cc"):
+        for language in ("c", "c++"):
+            command = [compiler, "-fsyntax-only", "-Wall", "-Werror", "-x", language]
+            subprocess.run([*command, tmp_path / "out" / "controller.h"], check=True)
+
+
+def test_an_arena_keeps_what_arrays_share() -> None:
+    base, other = np.arange(12, dtype=np.float32), np.arange(3, dtype=np.int64)
+    views: list[Any] = [other, base[1::2], base[4:6], base]
+    arena = Arena(views)
+    offsets = [int(arena.at(each).rpartition(" ")[2]) for each in views]
+    assert offsets[0] == 0
+    assert [offset - offsets[3] for offset in offsets[1:]] == [4, 16, 0]
+    content = arena.content()
+    for view, offset in zip((other, base), (0, offsets[3])):
+        assert content[offset : offset + view.nbytes].tobytes() == view.tobytes()
+
+
+def test_a_reset_is_what_it_writes() -> None:
+    values, others = np.arange(4, dtype=np.uint8), np.zeros(2, np.int64)
+    arena = Arena([values, others])
+
+    def fixed() -> None:
+        values[1:3] = 7
+
+    def relative() -> None:
+        others[1] = values[0]
+
+    text = arena.effect(fixed, "reset")
+    assert "{7, 7}" in text
+    assert "arena.memory + 1," in text
+    assert arena.effect(lambda: None, "reset") == ""
+    with pytest.raises(WorkflowError, match="reset depends on memory"):
+        arena.effect(relative, "reset")
+    assert values.tolist() == [0, 1, 2, 3]
+    assert not others.any()
+
+
+@pytest.mark.slow
+def test_two_exports_at_once(tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "unicon_ros", "export", "h1_stand", "--ticks", "50"]
+    both = [subprocess.Popen([*words, "--cpp", str(tmp_path / "out")]) for _ in range(2)]
+    assert sorted(each.wait(60) for each in both) == [0, 1]
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    assert (tmp_path / "out" / "vectors.bin").is_file()
+
+
+def commands(workflow: str, ticks: int) -> bytes:
+    """Return the outputs of a rollout in Python, as they are recorded."""
+    program = Program(load_document(workflow), dry=True)
+    rollout = Rollouts(program).run(ticks)
+    names = program.platform.facts.reads
+    places = [program.states.offset(name) for name in names]
+    sizes = [program.states[name].size for name in names]
+    rows = [rollout.states[:, p : p + n] for p, n in zip(places, sizes)]
+    program.close()
+    return np.concatenate(rows, 1).astype(np.float32).tobytes()
+
+
+def run(bare: Path, folder: Path, *words: str | Path) -> subprocess.CompletedProcess[str]:
+    """Run a command with nothing but some tools on its path, no Python among them."""
+    done = subprocess.run(
+        [*map(str, words)], cwd=folder, env={"PATH": str(bare)}, capture_output=True, text=True,
+        timeout=300, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done
+
+
+@pytest.fixture
+def bare(tmp_path: Path) -> Path:
+    folder = tmp_path / "bare"
+    folder.mkdir()
+    for tool in ("ar", "as", "ld", "make", "ranlib", "cmake", "ctest", *build.COMPILERS):
+        if found := shutil.which(tool):
+            folder.joinpath(tool).symlink_to(found)
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workflow", WORKFLOWS)
+def test_compiled_without_python(workflow: str, bare: Path, tmp_path: Path) -> None:
+    import onnxruntime
+
+    if workflow == "g1_walk" and not os.environ.get("UNICON_ASSETS"):
+        pytest.skip("no assets (UNICON_ASSETS)")
+    library = next((Path(onnxruntime.__file__).parent / "capi").glob("libonnxruntime.so*"), None)
+    if library is None:
+        pytest.skip("onnxruntime without a shared library")
+    ticks, name = WORKFLOWS[workflow], mixed(tmp_path) if workflow == "mixed" else workflow
+    out = tmp_path / "out"
+    assert exported(out, name, "--ticks", str(ticks)) == 0
+    first, _, rest = (out / "vectors.bin").read_bytes().partition(b"\n")
+    count, done, into, size, *_ = first.decode().split()
+    rows = np.frombuffer(rest[int(count) * int(into) :], np.float32).reshape(int(count), -1)
+    python = np.frombuffer(commands(name, ticks), np.float32).reshape(int(count), -1)
+    assert (done == "1") == (workflow == "mixed")
+    assert rows.nbytes == int(count) * int(size)
+    assert (rows[:, : python.shape[1]].view(np.int32) == python.view(np.int32)).all()
+    compilers = [each for each in ("g++", "clang++") if shutil.which(each)]
+    if not compilers:
+        pytest.skip("neither g++ nor clang++ (apt install g++ clang)")
+    attack = Path(__file__).with_name("attack_controller.cpp")
+    fast = ("-O2", "-fno-fast-math", "-ffp-contract=off")
+    checked = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+    sets: list[Sequence[str]] = [fast, (*fast, *checked)]
+    for compiler in compilers:
+        for flags in sets:
+            strict = [compiler, "-std=c++17", "-Wall", "-Wextra", "-Werror", *flags]
+            run(bare, out, *strict, "-c", "controller.cpp")
+            for program in (attack, "replay.cpp"):
+                run(bare, out, *strict, "-I.", "controller.o", program, "-o", "p", "-ldl")
+                said = run(bare, out, "./p", ".", library).stdout
+                if program == attack:
+                    assert "finite" in said or "policy" in said
+                else:
+                    assert said == f"{count} ticks: equal bit for bit\n"
+    if shutil.which("cmake") and shutil.which("make"):
+        made = "-B", "b", "-G", "Unix Makefiles", f"-DUNICON_ONNXRUNTIME={library}"
+        run(bare, out, "cmake", *made)
+        run(bare, out, "cmake", "--build", "b")
+        run(bare, out, "ctest", "--test-dir", "b", "--output-on-failure")
+    other = first.rpartition(b" ")[0] + b" none\n"  # of another machine
+    (out / "vectors.bin").write_bytes(other + rest)
+    said = run(bare, out, "./p", ".", library).stdout
+    assert "recorded with onnxruntime" in said
+    assert f"{count} ticks: equal within 1e-5" in said
+    for damaged in (rest, first + b"\n" + rest[:-1], b""):
+        (out / "vectors.bin").write_bytes(damaged)
+        ended = subprocess.run([out / "p", out, library], capture_output=True, text=True)
+        assert ended.returncode == 1
+        assert "vectors.bin is absent, cut off or another's" in ended.stderr
