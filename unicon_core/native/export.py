@@ -35,7 +35,7 @@ from unicon_core.native.stretches import STEPS, Stretches
 from unicon_core.native.tick import clean
 from unicon_core.platforms.kit.damping import BLEND
 from unicon_core.states import States
-from unicon_core.states.c_header import c_struct
+from unicon_core.states.c_header import c_struct, field_names
 from unicon_core.states.groups import Copies, subset
 from unicon_core.states.layout import Layout
 from unicon_core.states.standard import COMMAND_STATES
@@ -112,7 +112,9 @@ def _project(program: Program, ticks: int) -> tuple[dict[str, bytes], list[Piece
     }
     first = States(structs["tick_output"])
     first["joint_pos_target"] = np.nan_to_num(robot.default_joint_pos)
-    files = {path.name: path.read_text() for path in Path(__file__).with_name("cpp").iterdir()}
+    files = {
+        path.name: path.read_text("utf-8") for path in Path(__file__).with_name("cpp").iterdir()
+    }
     for word, value in {
         "@NAME@": clean(program.name),
         "@PERIOD@": f"{program.period:g}",
@@ -120,19 +122,12 @@ def _project(program: Program, ticks: int) -> tuple[dict[str, bytes], list[Piece
         "@STRUCTS@": "\n".join(c_struct(name, each) for name, each in structs.items()),
     }.items():
         files["controller.h"] = files["controller.h"].replace(word, value)
-    moved = (
-        f"static const size_t {name.upper()}[][3] = {{"
-        + ", ".join(
-            f"{{{layout.slots[state].offset}, {slot.offset}, {slot.nbytes}}}"
-            for state, slot in structs[name].slots.items()
-        )
-        + "};"
-        for name in ("tick_input", "tick_output")
-    )
-    files["controller.cpp"] = graph.project(
-        states, first.buffer, np.array(robot.joint_damping, np.float32),
-        [*moved, f"static const double DAMPING_STEP = {program.period / BLEND!r};"],
-    )  # fmt: skip
+    settings = [f"static const double DAMPING_STEP = {program.period / BLEND!r};"]
+    for name, each in structs.items():
+        moves = "".join(f"move({field})" for field in field_names(each.specs).values())
+        settings.append(f"#define {name.upper()}(move) {moves}")
+    damping = np.array(robot.joint_damping, np.float32)
+    files["controller.cpp"] = graph.project(states, first.buffer, damping, settings)
     written = {name: text.encode() for name, text in files.items()}
 
     def recorder(layout: Layout, rows: list[bytes]) -> Callable[[], None]:
@@ -264,14 +259,14 @@ class Controller(Stretches):
 
     # -- the project -----------------------------------------------------------------------------
 
-    def project(self, states: States, sent: Any, damping: Any, facts: Lines) -> str:
+    def project(self, states: States, sent: Any, damping: Any, settings: Lines) -> str:
         """Return controller.cpp; the arrays hold what the first tick begins with.
 
         Args:
             states: of the program.
             sent: what counts as sent before the first tick, as bytes of an output.
             damping: of the robot, NaN where it is not known, float32, shape (n,).
-            facts: further lines.
+            settings: further lines, of the runtime.
         """
         table = self.table
         counters = np.array([*(self.scope.state[name] for name in self.places), 0], np.int64)
@@ -309,7 +304,7 @@ class Controller(Stretches):
                     for name, reset in self._resets.items()
                 ),
                 *self.functions,
-                *facts,
+                *settings,
                 f"enum {{ {', '.join(f'{n} = {i}' for n, i in network.PLACES.items())},",
                 f"VERSION = {network.VERSION}, SEVERE = {network.SEVERE} }};",
                 f"static const int BLOCKS = {len(names)};",
@@ -319,6 +314,7 @@ class Controller(Stretches):
                 "};",
                 '#include "runtime.h"',
                 "static void open_all(const char* library, const std::string& folder) {",
+                "(void)library, (void)folder;",
                 f"void* const t[] = {{{', '.join(bound)}}};",
                 *table.bindings,
                 *(["load(library);"] if self.networks else []),

@@ -11,23 +11,27 @@
 
 static void* const* api = 0;
 static const char* version = "";
-static auto& kept = *new std::vector<void*>;  // as long as the process: a step uses them
+
+static inline void keep(void* object) {  // as long as the process: a step uses it
+  static auto& kept = *new std::vector<void*>;
+  kept.push_back(object);
+}
 
 template <class... A> static void ort(int place, A... arguments) {
   void* status = ((void* (*)(A...))api[place])(arguments...);
   if (!status) return;
-  kept.push_back(status);
+  keep(status);
   throw std::runtime_error(((const char* (*)(void*))api[GetErrorMessage])(status));
 }
 
 template <class... A> static void* made(int place, A... arguments) {
   void* out = 0;
   ort(place, arguments..., &out);
-  kept.push_back(out);
+  keep(out);
   return out;
 }
 
-static void load(const char* library) {
+static inline void load(const char* library) {
   struct Base {
     void* const* (*table)(uint32_t);
     const char* (*version)();
@@ -50,7 +54,7 @@ struct Tensor {
   std::vector<int64_t> shape;
 };
 
-static void network(int64_t* session, const std::string& path, const std::vector<Tensor>& tensors) {
+static inline void network(int64_t* session, const std::string& path, const std::vector<Tensor>& tensors) {
   static void* const environment = made(CreateEnv, SEVERE, "unicon");
   void* options = made(CreateSessionOptions);
   for (auto& option : OPTIONS) ort(option[0], options, option[1]);
@@ -127,12 +131,12 @@ const char* unicon_open(const char* library, const char* folder) {
 int unicon_step(const struct unicon_tick_input* input, struct unicon_tick_output* output) {
   bool done = false;
   if (!opened) arena.fault = 1;
-  for (auto& each : TICK_INPUT)
-    memcpy(arena.memory + each[0], (const char*)input + each[1], each[2]);
+#define TAKE(field) memcpy(&unicon_states()->field, &input->field, sizeof input->field);
+#define GIVE(field) memcpy(&sent->field, &unicon_states()->field, sizeof sent->field);
+  TICK_INPUT(TAKE)
   if (!arena.fault) done = step() > 0;
   if (!arena.fault) {
-    for (auto& each : TICK_OUTPUT)
-      memcpy((char*)sent + each[1], arena.memory + each[0], each[2]);
+    TICK_OUTPUT(GIVE)
     *output = *sent;
     arena.any = 1;
     done |= deferred() > 0;
