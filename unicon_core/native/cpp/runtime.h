@@ -77,12 +77,22 @@ static inline void network(int64_t* session, const std::string& path, const std:
 static bool opened = false;
 static void open_all(const char* library, const std::string& folder);
 
+static bool sound(const unicon_tick_output& command) {
+  bool holds = true;
+  each(JOINTS) {
+    holds &= finite(command.joint_pos_target[i]) && finite(command.joint_vel_target[i]);
+    holds &= finite(command.joint_effort_ff[i]) && finite(command.joint_stiffness[i]);
+    holds &= finite(command.joint_damping[i]);
+  }
+  return holds;
+}
+
 // As the damping command of unicon: targets stay, stiffness falls, damping is the robot's.
 static void damp(unicon_tick_output* output) {
   const float* measured = unicon_states()->joint_pos;
   arena.share = larger(arena.share - DAMPING_STEP, 0.0);
   *output = *sent;
-  each(sizeof sent->joint_pos_target / sizeof(float)) {
+  each(JOINTS) {
     if (!arena.any && finite(measured[i])) sent->joint_pos_target[i] = measured[i];
     output->joint_pos_target[i] = sent->joint_pos_target[i];
     output->joint_vel_target[i] = output->joint_effort_ff[i] = 0.0f;
@@ -132,12 +142,14 @@ int unicon_step(const struct unicon_tick_input* input, struct unicon_tick_output
   bool done = false;
   if (!opened) arena.fault = 1;
 #define TAKE(field) memcpy(&unicon_states()->field, &input->field, sizeof input->field);
-#define GIVE(field) memcpy(&sent->field, &unicon_states()->field, sizeof sent->field);
+#define GIVE(field) memcpy(&command.field, &unicon_states()->field, sizeof command.field);
   TICK_INPUT(TAKE)
   if (!arena.fault) done = step() > 0;
+  unicon_tick_output command = *sent;
+  TICK_OUTPUT(GIVE)
+  if (!arena.fault && !sound(command)) arena.fault = SEND;
   if (!arena.fault) {
-    TICK_OUTPUT(GIVE)
-    *output = *sent;
+    *output = *sent = command;
     arena.any = 1;
     done |= deferred() > 0;
   }
