@@ -25,6 +25,7 @@ int main(int, char** words) {
   std::ifstream file(folder + "/vectors.bin", std::ios::binary);
   std::getline(file, line);
   const size_t ticks = std::stoul(line);
+  std::getline(file, line);
   std::vector<unicon_tick_input> inputs(ticks);
   std::vector<unicon_tick_output> expected(ticks);
   file.read((char*)inputs.data(), (std::streamsize)(ticks * sizeof inputs[0]));

@@ -43,9 +43,6 @@ from unicon_core.workflow import Program
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.tick_tree import tick_tree
 
-_CPU = "amx", "asimd", "avx", "bf16", "fma", "i8mm", "sve"
-"""Beginnings of the CPU features that decide which code ONNX Runtime takes; in replay.cpp too."""
-
 
 def export(document: WorkflowDocument, folder: Path, ticks: int) -> None:
     """Write a workflow's controller as a C++ project, all of it or nothing.
@@ -154,8 +151,9 @@ def _project(program: Program, ticks: int) -> tuple[dict[str, bytes], list[Piece
             "correct the workflow, or give fewer --ticks"
         ) from fault
     version = import_module("onnxruntime").__version__ if graph.networks else "none"
-    words = len(outputs), int(done), len(inputs[0]), len(outputs[0]), version, _cpu_features()
-    written["vectors.bin"] = f"{' '.join(map(str, words))}\n".encode() + b"".join(inputs + outputs)
+    words = len(outputs), int(done), len(inputs[0]), len(outputs[0]), version
+    head = f"{' '.join(map(str, words))}\n{_cpu_features()}\n"
+    written["vectors.bin"] = head.encode() + b"".join(inputs + outputs)
     return written, graph.networks
 
 
@@ -173,8 +171,7 @@ def _ran(root: Node, states: States, ticks: int) -> bool:
 
 def _cpu_features() -> str:
     lines = Path("/proc/cpuinfo").read_text().splitlines()
-    words = next((line for line in lines if line.startswith(("flags", "Features"))), "")
-    return ",".join(sorted({w for w in words.split() if w.startswith(_CPU)})) or "none"
+    return next((line for line in lines if line.startswith(("flags", "Features"))), "")
 
 
 class Controller(Stretches):
