@@ -5,6 +5,7 @@ Numbers have the same bits; a NaN is a NaN, whatever its payload.
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -30,12 +31,17 @@ from unicon_core.flow import Block, CompiledGraph, Node, as_block, compile_graph
 from unicon_core.flow.block import LinearMap
 from unicon_core.flow.fuse import fuse
 from unicon_core.memory import Memory
+from unicon_core.native.build import COMPILERS
 from unicon_core.native.tick import NativeTick
 from unicon_core.robots import load_robot
 from unicon_core.states import States, StateSpec, standard_states
 from unicon_core.states.standard import COMMAND_STATES, forwarded_states
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.expression import expression
+
+pytestmark = pytest.mark.skipif(
+    not any(map(shutil.which, COMPILERS)), reason="no C++ compiler (apt install g++)"
+)
 
 TICKS = 14
 ONCE = (Phase.explicit, Phase.generate)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from unicon_base.errors import Fault
 from unicon_core.flow import Zip, as_block, compile_graph
 from unicon_core.memory import Memory
 from unicon_core.native import network, tick
+from unicon_core.native.build import COMPILERS
 from unicon_core.native.operands import NotNative
 from unicon_core.native.tick import NativeTick
 from unicon_core.policies import Policy, load_policy, policy_states
@@ -21,6 +23,9 @@ from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
 
 ROBOT = load_robot("go2")
+pytestmark = pytest.mark.skipif(
+    not any(map(shutil.which, COMPILERS)), reason="no C++ compiler (apt install g++)"
+)
 pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
 
