@@ -42,7 +42,6 @@ _SETTLED = 3
 _WORST = 3.0
 """Most that an error counts beside its median, where a window chooses how it begins."""
 
-
 _plant: Plant | None = None
 
 
@@ -248,9 +247,9 @@ class Settled:
     def begin(self) -> Float64:
         """Find how windows begin without a change, and return the answers."""
         self.begins = self._run.settle({})
-        (now,) = self._run([{}], [self.begins])
+        now, self._unknown = self._run.derived({}, self.begins)
         self.likelihood = Likelihood(self._real - now)
-        now = self.derived({})
+        self._leave_out(now)
         for _ in range(_SETTLED):
             _, self.begins = self.chosen({}, self.tries(self.begins, self.left(now)))
             now = self.derived({})
@@ -259,8 +258,11 @@ class Settled:
     def derived(self, change: Change) -> Float64:
         """Return the answers with a change; the likelihood is from now on of what is left there."""
         now, self._unknown = self._run.derived(change, self.begins)
-        self.likelihood.leave_out(self._unknown, self._run.likely, self._real - now)
+        self._leave_out(now)
         return now
+
+    def _leave_out(self, now: Float64) -> None:
+        self.likelihood.leave_out(self._unknown, self._run.likely, self._real - now)
 
     def left(self, answers: Float64, begins: Float64 | None = None) -> Float64:
         """Return what is left of the motion, had windows begun as they were measured.

@@ -213,9 +213,13 @@ class Search:
             at = dict(zip(at, after.tolist()))
             tries = self._windows.tries(self._windows.begins, left - slopes @ (after - sizes))
             now, self._windows.begins = self._windows.chosen(at, tries)
-        for place in [place for place in at if KINDS[place[0]].stepped]:
+        else:
+            now = self._windows.derived(at)
+        stepped = [place for place in at if KINDS[place[0]].stepped]
+        for place in stepped:
             at = self._peak(at, place)
-        now = self._windows.derived(at)
+        if stepped:
+            now = self._windows.derived(at)
         return at, now, fitted
 
     def _peak(self, at: dict[Place, float], place: Place) -> dict[Place, float]:
