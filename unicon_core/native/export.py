@@ -10,7 +10,6 @@ from __future__ import annotations
 import ast
 import json
 import os
-import re
 import shutil
 from collections.abc import Callable, Iterator
 from importlib import import_module
@@ -267,7 +266,7 @@ class Controller(Stretches):
         """
         table = self.table
         counters = np.array([*(self.scope.state[name] for name in self.places), 0], np.int64)
-        used = {name for text in self.functions for name in re.findall(r"\bb\d+\w*(?=\(\))", text)}
+        used = self.used()
         pieces = {name: piece for name, (piece, _) in self.texts.items() if name in used}
         names = ["unicon_open, which has not succeeded", *(p.name for p in pieces.values())]
         self.networks = [piece for piece in pieces.values() if piece.session is not None]

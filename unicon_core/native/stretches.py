@@ -197,6 +197,10 @@ class Stretches:
         self.functions.append(text)
         return number
 
+    def used(self) -> set[str]:
+        """Return the names of the pieces that the functions call."""
+        return {name for text in self.functions for name in re.findall(r"\bb\d+\w*(?=\(\))", text)}
+
     # -- what is native --------------------------------------------------------------------------
 
     def variables(self, tree: ast.AST) -> set[str]:

@@ -137,7 +137,7 @@ class NativeGraph(Stretches):
             name: [word.sub(lambda found: moved.get(found[0], found[0]), line) for line in body]
             for name, body in every.items()
         }
-        used = {name for text in self.functions for name in re.findall(r"\bb\d+\w*(?=\(\))", text)}
+        used = self.used()
         blocks = [
             self.block(name, piece.text, piece.call)
             for name, (piece, _) in self.texts.items()

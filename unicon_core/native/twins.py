@@ -19,6 +19,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from unicon_core.blocks.postures import LONGEST
 from unicon_core.native.operands import NotNative
 
 Twin: TypeAlias = str | Callable[[Any], str]
@@ -65,7 +66,7 @@ def _pose(pose: Any) -> str:
         farthest = greater(farthest, magnitude($_way[i]));
       }}
       if (finite(farthest)) {{
-        double ticks = __builtin_ceil(smaller((double)farthest * $_ticks_per_rad, 1e9));
+        double ticks = __builtin_ceil(smaller((double)farthest * $_ticks_per_rad, {LONGEST!r}));
         $_ticks = larger($_asked, (int64_t)ticks);
       }}
       {first}
