@@ -28,8 +28,8 @@ from unicon_base import AnyDict, Fault, UniconError, cannot
 from unicon_core.page import plain, write_file
 from unicon_core.signals import SIGNALS
 from unicon_lab.diagnose import Cause, Diagnosis
-from unicon_lab.diagnose.diagnosis import diagnose
-from unicon_lab.recording import Record
+from unicon_lab.diagnose.diagnosis import diagnose, motion_in, searched, simulated
+from unicon_lab.diagnose.search import Search
 from unicon_ros.bench.report import Bench
 from unicon_ros.cli.console import note
 
@@ -88,7 +88,7 @@ def diagnosed(wanted: Sequence[Case], path: Path) -> list[Row]:
     except (KeyError, TypeError, ValueError) as error:
         raise UniconError(f"{path} holds no rows of this bench; name another file") from error
     write_file(path, text.encode())
-    references: dict[Case, Record] = {}
+    references: dict[Case, Search] = {}
     with TemporaryDirectory(prefix="unicon_diagnose_") as folder:
         for number, case in enumerate(wanted, 1):
             if case.name in rows and rows[case.name]["amount"] == case.amount:
@@ -101,7 +101,7 @@ def diagnosed(wanted: Sequence[Case], path: Path) -> list[Row]:
     return [rows[case.name] for case in wanted]
 
 
-def _examined(case: Case, folder: str, references: dict[Case, Record]) -> Row:
+def _examined(case: Case, folder: str, references: dict[Case, Search]) -> Row:
     """Make a record and diagnose it; what cannot be is a note."""
     begin, name = time.perf_counter(), ""
     healthy, reference = replace(case, kind=HEALTHY, size=0, amount=0.0), None
@@ -109,7 +109,7 @@ def _examined(case: Case, folder: str, references: dict[Case, Record]) -> Row:
         try:
             record, name = made(case, case.size, own)
             if case.plant != "mujoco" or case.seed:  # a record is read as it is asked for
-                reference = references.get(healthy) or made(healthy, 0, mkdtemp(dir=folder))[0]
+                reference = references.get(healthy) or _searched(healthy, folder)
                 references[healthy] = reference
             said = diagnose(record, case.name, reference=reference, hung=case.hung)
         except (Fault, UniconError) as error:
@@ -124,6 +124,15 @@ def _examined(case: Case, folder: str, references: dict[Case, Record]) -> Row:
         "note": "; ".join(said.notes),
         "seconds": time.perf_counter() - begin,
     }
+
+
+def _searched(case: Case, folder: str) -> Search:
+    record, _ = made(case, 0, mkdtemp(dir=folder))
+    robot, scene = simulated(record, case.name, None)
+    motion, scene = motion_in(record, case.name, 0.2, case.hung, robot, scene)
+    search = searched(motion, robot, scene)
+    SIGNALS.check()
+    return search
 
 
 def judged(causes: Sequence[Cause], name: str, change: float) -> Row:

@@ -43,7 +43,7 @@ def diagnose(
     *,
     contracts: Sequence[PolicyContract] | None = None,
     robot: Robot | None = None,
-    reference: Record | None = None,
+    reference: Record | Search | None = None,
     hung: bool = False,
     window: float = 0.2,
     processes: int = 0,
@@ -56,8 +56,8 @@ def diagnose(
         where: the record's name, for messages.
         contracts: that are given; None for those of the recorded workflow, as their files are now.
         robot: whose simulator is compared; None for the record's.
-        reference: of the same robot without the trouble: what its simulator lacks in both is no
-            cause. None where the simulator is like the healthy robot.
+        reference: of the same robot without the trouble, or what `searched` found in it: what its
+            simulator lacks in both is no cause. None where the simulator is like the healthy robot.
         hung: the robot hung in the air, or its base was fixed.
         window: of a replay in [s].
         processes: at once; 0 for as many as there are cores.
@@ -77,23 +77,47 @@ def diagnose(
         if not causes:
             raise
         return Diagnosis(tuple(causes), (*notes, f"the plant is not examined: {error}"))
-    healthy = None
-    if reference is not None:
+    healthy, before = None, None
+    if isinstance(reference, Record):
         simulated(reference, "the reference", robot)
         healthy, _ = motion_in(reference, "the reference", window, hung, robot, scene)
-        if healthy.has_base != motion.has_base:
-            raise UniconError(
-                f"one of {where} and the reference has no base_quat and base_ang_vel; record both"
-            )
-    plant = plant_causes(motion, robot, scene, healthy, processes, tell)
+    elif reference is not None:
+        before, healthy = reference, reference.motion
+    if healthy is not None and healthy.has_base != motion.has_base:
+        raise UniconError(
+            f"one of {where} and the reference has no base_quat and base_ang_vel; record both"
+        )
+    with SIGNALS.guard():
+        try:
+            if healthy is not None and before is None:
+                before = searched(healthy, robot, scene, processes, tell)
+        except Interrupted:
+            return Diagnosis(tuple(causes), (*notes, _INTERRUPTED), complete=False)
+        plant = plant_causes(motion, robot, scene, before, processes, tell)
     return replace(plant, causes=(*causes, *plant.causes), notes=(*notes, *plant.notes))
+
+
+def searched(
+    healthy: Motion,
+    robot: Robot,
+    scene: Scene,
+    processes: int = 0,
+    tell: Tell = lambda *_: None,
+) -> Search:
+    """Return what a search found in the motion of a healthy robot; arguments as of `diagnose`."""
+    places = places_of(healthy, robot, range(robot.num_joints), KINDS)
+    progress = _share(tell, "the reference")
+    with Replays(robot, scene, healthy, processes_of(processes), progress) as replays:
+        search = Search(healthy, places, replays.plant.limbs, replays, tell, most=MOST_REFERENCE)
+        search.go()
+    return search
 
 
 def plant_causes(
     motion: Motion,
     robot: Robot,
     scene: Scene,
-    healthy: Motion | None = None,
+    reference: Search | None = None,
     processes: int = 0,
     tell: Tell = lambda *_: None,
 ) -> Diagnosis:
@@ -103,29 +127,22 @@ def plant_causes(
         motion: of the robot.
         robot: whose simulator is compared.
         scene: in which it is simulated.
-        healthy: motion of the same robot without the trouble, or None.
+        reference: what was found in the same robot without the trouble, or None.
         processes, tell: as of `diagnose`.
     """
     notes = [] if motion.has_base else [_NO_BASE]
     notes += [_STILL] if motion.still else []
     places = places_of(motion, robot, range(robot.num_joints), KINDS)
-    found, own, count = Found(), dict[str, Float64](), processes_of(processes)
-    before = None
+    found, own, progress = Found(), dict[str, Float64](), _share(tell, "the plant")
     with SIGNALS.guard():
         try:
-            if healthy is not None:
-                progress = _share(tell, "the reference")
-                with Replays(robot, scene, healthy, count, progress) as replays:
-                    limbs = replays.plant.limbs
-                    before = Search(healthy, places, limbs, replays, tell, most=MOST_REFERENCE)
-                    before.go()
-            with Replays(robot, scene, motion, count, _share(tell, "the plant")) as replays:
+            with Replays(robot, scene, motion, processes_of(processes), progress) as replays:
                 own = replays.plant.own
-                search = Search(motion, places, replays.plant.limbs, replays, tell, before)
+                search = Search(motion, places, replays.plant.limbs, replays, tell, reference)
                 found = search.found
                 search.go()
         except Interrupted:
-            notes.append("interrupted: causes that come later are not known")
+            notes.append(_INTERRUPTED)
     causes = [cause_of(found, place, alike, robot, own, motion) for place, alike in found.causes]
     more = "" if causes else "sway" if motion.hung and robot.walks else "wiggle"
     return Diagnosis(tuple(causes), tuple(notes), len(motion.starts), found.complete, more)
@@ -135,6 +152,7 @@ def _share(tell: Tell, what: str) -> Callable[[float], object]:
     return lambda share: tell(what, share)
 
 
+_INTERRUPTED = "interrupted: causes that come later are not known"
 _STILL = f"no joint moves by {MOVING} rad: joints, gains and ground friction are not examined"
 _NO_BASE = (
     "attitude and turn rate of the base were not recorded: payload, centre of mass, inertia, gyro "

@@ -162,13 +162,16 @@ class Plant:
             change: of the plant.
             begins: errors of what each window begins with: of the joints' velocities [rad/s], and
                 where the base was measured, of its velocity in its frame [m/s] and of its height
-                [m]; shape (w, n) or (w, n + 4).
+                [m]; shape (w, n) or (w, n + 4). A window of NaN is left out: its answers are NaN.
         """
         self._apply(change)
         motion, base = self._motion, self._motion.has_base
         found = np.empty_like(motion.answers)
         states = self._beside.states
         for window, start in enumerate(motion.starts):
+            if np.isnan(begins[window, 0]):
+                found[window] = np.nan
+                continue
             try:
                 put = self._put(window, begins[window])
                 for row in range(start - self._ahead, start):  # commands on their way

@@ -17,7 +17,7 @@ from typing import Protocol
 
 import numpy as np
 
-from unicon_base.arrays import Float64
+from unicon_base.arrays import Bool, Float64, Int64
 from unicon_base.errors import PlatformError, UniconError
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import Robot
@@ -37,10 +37,13 @@ of one simulator by some millimetres and not into that of another one."""
 _CARRIED = np.array([0.5, 0.5, 0.5, 0.01])
 """The same where its velocity is that by its feet."""
 _ROUNDS = 5
-_SETTLED = 3
+_SETTLED = 2
 """Turns in which the beginnings alone are fitted by the likelihood."""
 _WORST = 3.0
 """Most that an error counts beside its median, where a window chooses how it begins."""
+
+ENOUGH = 24
+"""Windows, from which on every second one is enough for a first look at all changes."""
 
 _plant: Plant | None = None
 
@@ -295,3 +298,59 @@ class Settled:
             costs.append((left**2).sum(axis=(1, 2)) + (unlikely**2).sum(axis=1))
         window, which = np.arange(len(self._real)), np.argmin(costs, axis=0)
         return np.stack(answers)[which, window], np.stack(tries)[which, window]
+
+
+class Derivatives:
+    """Derivatives of a motion's answers by the places of a plant, shape (w, l, m) each.
+
+    Args:
+        places: by which.
+        limbs: of each joint, shape (n,); joints of several limbs are moved at once, each its own.
+        run: replays changes.
+        windows: of the motion. Of `ENOUGH`, every second one is zero until it is asked for.
+
+    Attributes:
+        half: windows that all derivatives have, shape (w,).
+    """
+
+    def __init__(self, places: Sequence[Place], limbs: Int64, run: Run, windows: int) -> None:
+        self._places, self._limbs, self._run = places, limbs, run
+        self.half: Bool = np.arange(windows) % (1 + (windows >= ENOUGH)) == 0
+        self._found: dict[Place, Float64] = {}
+        self._lacking = {*places} if windows >= ENOUGH else set[Place]()
+        self._now: Float64
+        self._begins: Float64
+
+    def __getitem__(self, place: Place) -> Float64:
+        return self._found[place]
+
+    def take(self, now: Float64, begins: Float64) -> None:
+        """Take all where answers are `now`, of windows that begin so."""
+        self._now, self._begins = now, begins
+        together: dict[tuple[str, int], list[Place]] = {}
+        for kind, joint in self._places:
+            turn = joint if joint < 0 else int((self._limbs[:joint] == self._limbs[joint]).sum())
+            together.setdefault((kind, turn), []).append((kind, joint))
+        groups = list(together.values())
+        for group, slope in zip(groups, self._taken(groups, self.half)):
+            for place in group:
+                own = np.ones(slope.shape[-1], np.bool_)
+                if len(group) > 1:
+                    own[len(self._limbs) :] = False
+                    own[: len(self._limbs)] = self._limbs == self._limbs[place[1]]
+                self._found[place] = slope * own
+
+    def complete(self, places: Sequence[Place]) -> None:
+        """Take those of places in the other windows, too."""
+        lacking = [place for place in places if place in self._lacking]
+        for place, slope in zip(lacking, self._taken([[each] for each in lacking], ~self.half)):
+            self._found[place] = self._found[place] + slope
+        self._lacking -= {*lacking}
+
+    def _taken(self, groups: Sequence[Sequence[Place]], windows: Bool) -> list[Float64]:
+        """Return derivatives by a step of each group; zeros of other windows."""
+        steps = [KINDS[group[0][0]].step for group in groups]
+        changes = [dict.fromkeys(group, step) for group, step in zip(groups, steps)]
+        begins = np.where(windows[:, None], self._begins, np.nan)
+        moved = self._run(changes, [begins] * len(groups))
+        return [np.nan_to_num((each - self._now) / step) for each, step in zip(moved, steps)]

@@ -16,12 +16,16 @@ import numpy as np
 from unicon_base.arrays import Float64, Int64
 from unicon_lab.diagnose.likelihood import Fitted
 from unicon_lab.diagnose.motion import Motion
-from unicon_lab.diagnose.plant import KINDS, Change, Place
-from unicon_lab.diagnose.replays import Run, Settled
+from unicon_lab.diagnose.plant import KINDS, Place
+from unicon_lab.diagnose.replays import Derivatives, Run, Settled
 
-FOLLOWED = 6
-"""Changes that are followed to their best size, of those that fit best alone."""
-STEPS = 6
+COMPARED = 12
+"""Changes whose derivatives are taken of all windows, of those that fit best alone."""
+FOLLOWED = 5
+"""Changes that are followed to their best size, of these."""
+PARTS = (0.5, 1.0, 2.0), (1.0,), (1.0,)
+"""Parts of a fitted step that are tried, in each turn: contacts resist more than a derivative says,
+and less far away."""
 CLEAR = 8.0
 """Log odds against no change from which there is a cause: 1 in 3000, since some 70 are tried."""
 ALIKE = 3.0
@@ -32,8 +36,10 @@ HOPE = 3.0
 """What a fit by derivatives promises is exceeded by at most so much."""
 HOPELESS = 5.0
 """Log odds by which a candidate may lag behind what it needs, and is followed still."""
-REFINED = 12
-"""Turns in which sizes and the unknown beginnings of windows are fitted together, at most."""
+REFINED = 7
+"""Turns in which sizes and the unknown beginnings of windows are fitted together, at most. Their
+steps get smaller from the third on, since contacts make the likelihood rough (Robbins and Monro
+1951)."""
 BESIDE = 0.03
 """Share of the square error that found causes explain, which the next one has to explain too: less
 may be what noise at the beginning of windows biases them by."""
@@ -59,7 +65,6 @@ class Candidate:
         log: likelihood there.
         begins: of windows there; see `Plant.replayed`.
         fitted: the fit from there, in the order of `change`.
-        part: of a fitted step that is taken; less after one that did not help.
         odds: log odds against the changes before.
     """
 
@@ -70,7 +75,6 @@ class Candidate:
     log: float
     begins: Float64
     fitted: Fitted | None = None
-    part: float = 1.0
     odds: float = -math.inf
 
 
@@ -111,10 +115,14 @@ class Search:
         reference: search in a motion without the trouble, which has ended; what it found is no
             cause. It is uncertain too, so intervals are wider.
         most: causes.
+
+    Attributes:
+        motion: what was measured.
+        found: what there is up to now.
     """
 
     found: Found
-    _motion: Motion
+    motion: Motion
     _scale: Float64
 
     def __init__(
@@ -130,13 +138,12 @@ class Search:
         self._wider, self._reference, self._most = 1.0, reference, most
         if reference is not None:
             run.base = reference.found.change
-            ratio = len(motion.starts) / len(reference._motion.starts)
+            ratio = len(motion.starts) / len(reference.motion.starts)
             self._wider = math.sqrt(1.0 + ratio)
-        self._motion, self._places, self._run, self._tell = motion, places, run, tell
-        self._limbs = limbs
+        self.motion, self._places, self._run, self._tell = motion, places, run, tell
         self._real = motion.answers
         self._windows = Settled(motion, run)
-        self._slopes: dict[Place, Float64] = {}
+        self._slopes = Derivatives(places, limbs, run, len(motion.starts))
         self.found = Found()
         self._explained = 0.0
 
@@ -149,7 +156,7 @@ class Search:
         reference = self._reference
         self._scale = reference._scale if reference else self._windows.likelihood.scale
         whole = self._error(now)
-        self._look(now)
+        self._slopes.take(now, self._windows.begins)
         for _ in range(2 * self._most):  # a cause may be dropped for another one, and come again
             if len(found.causes) == self._most:
                 break
@@ -173,7 +180,7 @@ class Search:
             at, now, fitted = self._refined(best)
             found.change, found.after = at, self._square(now)
             bias = np.array([KINDS[kind].bias for kind, _ in at])
-            bias = np.maximum(bias, BIAS_FOUND) if self._motion.sought else bias
+            bias = np.maximum(bias, BIAS_FOUND) if self.motion.sought else bias
             biased = bias * np.array(list(at.values()))
             rounded = self._run.step * np.array([0.06 * KINDS[kind].stepped for kind, _ in at])
             variance = self._wider**2 * (np.diag(fitted.spread) + biased**2) + rounded**2
@@ -199,17 +206,18 @@ class Search:
         """
         at, self._windows.begins = one.change, one.begins
         usual = np.array([KINDS[kind].usual for kind, _ in at])
-        for _ in range(REFINED):
+        for turn in range(REFINED):
             now = self._windows.derived(at)
             beside = [at | {place: size + KINDS[place[0]].step} for place, size in at.items()]
             moved = self._run(beside, [self._windows.begins] * len(at))
             slopes = np.stack([(e - now) / KINDS[k].step for e, (k, _) in zip(moved, at)], axis=-1)
             left = self._windows.left(now)
             fitted = self._windows.likelihood.fit(left, slopes, usual)
-            if np.all(np.abs(fitted.size) < 0.2 * np.sqrt(np.diag(fitted.spread))):
-                break
             sizes = np.array(list(at.values()))
-            after = np.array([self._run.clip(*each) for each in zip(at, sizes + fitted.size)])
+            after = sizes + fitted.size / max(turn, 1)
+            after = np.array([self._run.clip(*each) for each in zip(at, after)])
+            if np.all(np.abs(after - sizes) < 0.2 * np.sqrt(np.diag(fitted.spread))):
+                break
             at = dict(zip(at, after.tolist()))
             tries = self._windows.tries(self._windows.begins, left - slopes @ (after - sizes))
             now, self._windows.begins = self._windows.chosen(at, tries)
@@ -240,11 +248,12 @@ class Search:
         The information on one change that is left beside another is what tells them apart.
         """
         assert best.fitted is not None
-        places = [place for place in self._slopes if place not in best.change]
+        places = [place for place in self._places if place not in best.change]
         places = [best.place, *(place for place in places if place not in followed)]
         slopes = np.stack([self._slopes[place] for place in places], axis=-1)
         left = self._windows.left(best.answers, best.begins)
-        known = self._windows.likelihood.information(left, slopes)
+        slopes = slopes * self._slopes.half[:, None, None, None]
+        known = self._windows.likelihood.information(left, slopes) / self._slopes.half.mean()
         apart = known[0, 0] - known[0] ** 2 / np.maximum(np.diag(known), 1e-30)
         odds = 0.5 * best.change[best.place] ** 2 * apart / max(best.fitted.kappa, 1.0)
         return [place for place, each in zip(places[1:], odds[1:]) if each < ALIKE]
@@ -256,24 +265,6 @@ class Search:
         channel = int(np.median(gain, axis=0).argmax())
         window = int((left - less)[..., channel].sum(axis=1).argmax())
         return window, channel, np.stack([without, with_it])[:, window, :, channel]
-
-    def _look(self, now: Float64) -> None:
-        """Take the derivatives of all places; joints of several limbs at once, each its own."""
-        together: dict[tuple[str, int], list[Place]] = {}
-        for kind, joint in self._places:
-            turn = joint if joint < 0 else int((self._limbs[:joint] == self._limbs[joint]).sum())
-            together.setdefault((kind, turn), []).append((kind, joint))
-        changes = [{place: KINDS[place[0]].step for place in group} for group in together.values()]
-        for group, answers in zip(
-            together.values(), self._run(changes, [self._windows.begins] * len(changes))
-        ):
-            for place in group:
-                slope = (answers - now) / KINDS[place[0]].step
-                if len(group) > 1:
-                    own = np.zeros(slope.shape[-1], np.bool_)
-                    own[: len(self._limbs)] = self._limbs == self._limbs[place[1]]
-                    slope = slope * own
-                self._slopes[place] = slope
 
     def _idle(self, place: Place) -> bool:
         least = max(KINDS[place[0]].least, self.found.deviation[place])
@@ -287,7 +278,7 @@ class Search:
         return self._windows.likelihood.error(left, self._scale)
 
     def _square(self, answers: Float64) -> float:
-        joints = self._motion.measured["joint_pos"].shape[1]
+        joints = self.motion.measured["joint_pos"].shape[1]
         return float(((self._real - answers)[..., :joints] ** 2).mean())
 
     def _price(self, place: Place) -> float:
@@ -300,26 +291,22 @@ class Search:
 
     def _followed(self, at: dict[Place, float], now: Float64) -> list[Candidate]:
         """Return the candidates beside what was found, the most probable first."""
-        left = self._windows.left(now)
-        log = self._windows.likelihood.log(left)
-        alone: list[tuple[float, Place]] = []
-        for place, slope in self._slopes.items():
-            if place not in at:
-                usual = np.array([KINDS[place[0]].usual])
-                fitted = self._windows.likelihood.fit(left, slope[..., None], usual)
-                alone.append((fitted.gain / math.sqrt(max(fitted.kappa, 1.0)), place))
-        alone.sort(reverse=True)
+        begins = self._windows.begins
+        log = self._windows.likelihood.log(self._windows.left(now))
+        places = self._best_alone(now, [place for place in self._places if place not in at])
+        self._slopes.complete(places[:COMPARED])
+        places = self._best_alone(now, places[:COMPARED])[:FOLLOWED]
         candidates = [
-            Candidate(place, at | {place: 0.0}, now, self._slopes[place], log, self._windows.begins)
-            for _, place in alone[:FOLLOWED]
+            Candidate(place, at | {place: 0.0}, now, self._slopes[place], log, begins)
+            for place in places
         ]
         if not candidates:
             return []
         moving = candidates
-        for _ in range(STEPS):
-            best_log = max((one.log for one in candidates), default=log)
+        for parts in PARTS:
+            best_log = max(one.log for one in candidates)
             moving = [one for one in moving if self._fit(one) and self._hopes(one, log, best_log)]
-            self._step(moving)
+            moving = self._step(moving, parts)
         for one in candidates:
             self._fit(one)
         best = max(candidates, key=lambda one: one.log)
@@ -327,6 +314,17 @@ class Search:
         for one in candidates:
             one.odds = (one.log - log) / kappa + self._price(one.place)
         return sorted(candidates, key=lambda one: -one.odds)
+
+    def _best_alone(self, now: Float64, places: Sequence[Place]) -> list[Place]:
+        """Return places, the one whose change explains most alone first, by derivatives."""
+        left = self._windows.left(now)
+
+        def gain(place: Place) -> float:
+            usual = np.array([KINDS[place[0]].usual])
+            fitted = self._windows.likelihood.fit(left, self._slopes[place][..., None], usual)
+            return fitted.gain / math.sqrt(max(fitted.kappa, 1.0))
+
+        return sorted(places, key=gain, reverse=True)
 
     def _fit(self, one: Candidate) -> bool:
         """Fit from where a candidate is; return whether there is far to go."""
@@ -346,29 +344,31 @@ class Search:
         cause = (reached - before) / kappa + self._price(one.place) > CLEAR - HOPELESS
         return cause and (reached - best) / kappa > -HOPELESS
 
-    def _step(self, moving: Sequence[Candidate]) -> None:
-        """Move candidates by what was fitted, where that helps."""
-        rows = list[tuple[list[Change], list[Float64]]]()
+    def _step(self, moving: Sequence[Candidate], parts: Sequence[float]) -> list[Candidate]:
+        """Move candidates by parts of what was fitted where that helps; return those that moved."""
+        rows = list[tuple[Candidate, dict[Place, float], Float64]]()
         for one in moving:
             assert one.fitted is not None
-            moved: dict[Place, float] = {}
-            left = self._windows.left(one.answers, one.begins)
-            for (place, size), step in zip(one.change.items(), one.part * one.fitted.size):
-                moved[place] = self._run.clip(place, size + step)
-                slope = one.slope if place == one.place else self._slopes[place]
-                left = left - slope * (moved[place] - size)
-            tries = self._windows.tries(one.begins, left)[::2]
-            further = moved | {one.place: moved[one.place] + KINDS[one.place[0]].step}
-            rows.append(([*[moved] * len(tries), further], [*tries, tries[-1]]))
-        every = [each for changes, _ in rows for each in changes]
-        answers = iter(self._run(every, [each for _, begins in rows for each in begins]))
-        for one, (changes, begins) in zip(moving, rows):
-            *tried, beside = (next(answers) for _ in changes)
-            here, there = self._windows.best(tried, begins[:-1])
+            for part in parts:
+                steps = zip(one.change.items(), part * one.fitted.size)
+                change = {p: self._run.clip(p, size + step) for (p, size), step in steps}
+                left = self._windows.left(one.answers, one.begins)
+                for place, size in one.change.items():
+                    slope = one.slope if place == one.place else self._slopes[place]
+                    left = left - slope * (change[place] - size)
+                near, _, far = self._windows.tries(one.begins, left)
+                rows += (one, change, near), (one, change, far)
+        answers = self._run([change for _, change, _ in rows], [begins for *_, begins in rows])
+        moved = list[Candidate]()
+        for row in range(0, len(rows), 2):
+            one, change, near = rows[row]
+            here, there = self._windows.best(answers[row : row + 2], [near, rows[row + 1][2]])
             log = self._windows.likelihood.log(self._windows.left(here, there))
             if log > one.log:
-                one.change, one.begins = dict(changes[0]), there
-                one.answers, one.log, one.part = here, log, 1.0
-                one.slope = (beside - tried[-1]) / KINDS[one.place[0]].step
-            else:
-                one.part *= 0.3
+                one.change, one.begins, one.answers, one.log = change, there, here, log
+                moved = [*(each for each in moved if each is not one), one]
+        further = [one.change | {one.place: one.change[one.place] + KINDS[one.place[0]].step}
+                   for one in moved]  # fmt: skip
+        for one, beside in zip(moved, self._run(further, [one.begins for one in moved])):
+            one.slope = (beside - one.answers) / KINDS[one.place[0]].step
+        return moved
