@@ -1,9 +1,4 @@
-"""Replays of a motion with many changes of the plant, and where its windows begin.
-
-Replays run in processes of their own. Where the velocity of the base was not measured, it is found
-for each window, with the height: at first by the joints alone, then by the likelihood, together
-with sizes of changes.
-"""
+"""Replays of a motion with many changes of the plant, in processes of their own."""
 
 from __future__ import annotations
 
@@ -17,12 +12,11 @@ from typing import Protocol
 
 import numpy as np
 
-from unicon_base.arrays import Bool, Float64, Int64
+from unicon_base.arrays import Float64
 from unicon_base.errors import PlatformError, UniconError
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import Robot
 from unicon_core.signals import SIGNALS
-from unicon_lab.diagnose.likelihood import Likelihood
 from unicon_lab.diagnose.motion import Motion
 from unicon_lab.diagnose.plant import KINDS, Change, Place, Plant
 from unicon_ros.process_exit import die_with_parent
@@ -37,14 +31,6 @@ of one simulator by some millimetres and not into that of another one."""
 _CARRIED = np.array([0.5, 0.5, 0.5, 0.01])
 """The same where its velocity is that by its feet."""
 _ROUNDS = 5
-_SETTLED = 2
-"""Turns in which the beginnings alone are fitted by the likelihood."""
-_WORST = 3.0
-"""Most that an error counts beside its median, where a window chooses how it begins."""
-
-ENOUGH = 24
-"""Windows, from which on every second one is enough for a first look at all changes."""
-
 _plant: Plant | None = None
 
 
@@ -228,129 +214,3 @@ class Replays:
             for each in {*multiprocessing.active_children()} - self._others:
                 each.kill()  # one that was stopped would be waited for without end
             self._pool.shutdown(cancel_futures=True)
-
-
-class Settled:
-    """How the windows of a motion begin, and the likelihood of what is left of them.
-
-    Args:
-        motion: that was measured.
-        run: replays changes.
-
-    Attributes:
-        begins: of windows.
-        likelihood: leaves out what other beginnings could explain.
-    """
-
-    def __init__(self, motion: Motion, run: Run) -> None:
-        self._real, self._run = motion.answers, run
-        self.begins: Float64
-        self.likelihood: Likelihood
-
-    def begin(self) -> Float64:
-        """Find how windows begin without a change, and return the answers."""
-        self.begins = self._run.settle({})
-        now, self._unknown = self._run.derived({}, self.begins)
-        self.likelihood = Likelihood(self._real - now)
-        self._leave_out(now)
-        for _ in range(_SETTLED):
-            _, self.begins = self.chosen({}, self.tries(self.begins, self.left(now)))
-            now = self.derived({})
-        return now
-
-    def derived(self, change: Change) -> Float64:
-        """Return the answers with a change; the likelihood is from now on of what is left there."""
-        now, self._unknown = self._run.derived(change, self.begins)
-        self._leave_out(now)
-        return now
-
-    def _leave_out(self, now: Float64) -> None:
-        self.likelihood.leave_out(self._unknown, self._run.likely, self._real - now)
-
-    def left(self, answers: Float64, begins: Float64 | None = None) -> Float64:
-        """Return what is left of the motion, had windows begun as they were measured.
-
-        Args:
-            answers: of a replay, shape (w, l, m).
-            begins: of that replay, by default those that are the best.
-        """
-        begins = self.begins if begins is None else begins
-        return np.asarray(self._real - answers + np.einsum("wlmq,wq->wlm", self._unknown, begins))
-
-    def tries(self, begins: Float64, left: Float64) -> list[Float64]:
-        """Return how windows may begin: as they do, and so that it explains what is left.
-
-        Contacts resist more than a derivative says, so a step of twice the size is one of them.
-        """
-        step = self.likelihood.unknowns(left) - begins
-        return [begins, begins + step, begins + 2.0 * step]
-
-    def chosen(self, change: Change, tries: Sequence[Float64]) -> tuple[Float64, Float64]:
-        """Return the answers of a change, and how each window begins where it fits best."""
-        return self.best(self._run([change] * len(tries), tries), tries)
-
-    def best(self, answers: Sequence[Float64], tries: Sequence[Float64]) -> tuple[Float64, Float64]:
-        """Return answers and beginnings that fit best, for each window by itself."""
-        costs = []
-        for answer, begins in zip(answers, tries):
-            left = np.minimum(np.abs((self._real - answer) / self.likelihood.scale), _WORST)
-            unlikely = begins / self._run.likely
-            costs.append((left**2).sum(axis=(1, 2)) + (unlikely**2).sum(axis=1))
-        window, which = np.arange(len(self._real)), np.argmin(costs, axis=0)
-        return np.stack(answers)[which, window], np.stack(tries)[which, window]
-
-
-class Derivatives:
-    """Derivatives of a motion's answers by the places of a plant, shape (w, l, m) each.
-
-    Args:
-        places: by which.
-        limbs: of each joint, shape (n,); joints of several limbs are moved at once, each its own.
-        run: replays changes.
-        windows: of the motion. Of `ENOUGH`, every second one is zero until it is asked for.
-
-    Attributes:
-        half: windows that all derivatives have, shape (w,).
-    """
-
-    def __init__(self, places: Sequence[Place], limbs: Int64, run: Run, windows: int) -> None:
-        self._places, self._limbs, self._run = places, limbs, run
-        self.half: Bool = np.arange(windows) % (1 + (windows >= ENOUGH)) == 0
-        self._found: dict[Place, Float64] = {}
-        self._lacking = {*places} if windows >= ENOUGH else set[Place]()
-        self._now: Float64
-        self._begins: Float64
-
-    def __getitem__(self, place: Place) -> Float64:
-        return self._found[place]
-
-    def take(self, now: Float64, begins: Float64) -> None:
-        """Take all where answers are `now`, of windows that begin so."""
-        self._now, self._begins = now, begins
-        together: dict[tuple[str, int], list[Place]] = {}
-        for kind, joint in self._places:
-            turn = joint if joint < 0 else int((self._limbs[:joint] == self._limbs[joint]).sum())
-            together.setdefault((kind, turn), []).append((kind, joint))
-        groups = list(together.values())
-        for group, slope in zip(groups, self._taken(groups, self.half)):
-            for place in group:
-                own = np.ones(slope.shape[-1], np.bool_)
-                if len(group) > 1:
-                    own[len(self._limbs) :] = False
-                    own[: len(self._limbs)] = self._limbs == self._limbs[place[1]]
-                self._found[place] = slope * own
-
-    def complete(self, places: Sequence[Place]) -> None:
-        """Take those of places in the other windows, too."""
-        lacking = [place for place in places if place in self._lacking]
-        for place, slope in zip(lacking, self._taken([[each] for each in lacking], ~self.half)):
-            self._found[place] = self._found[place] + slope
-        self._lacking -= {*lacking}
-
-    def _taken(self, groups: Sequence[Sequence[Place]], windows: Bool) -> list[Float64]:
-        """Return derivatives by a step of each group; zeros of other windows."""
-        steps = [KINDS[group[0][0]].step for group in groups]
-        changes = [dict.fromkeys(group, step) for group, step in zip(groups, steps)]
-        begins = np.where(windows[:, None], self._begins, np.nan)
-        moved = self._run(changes, [begins] * len(groups))
-        return [np.nan_to_num((each - self._now) / step) for each, step in zip(moved, steps)]

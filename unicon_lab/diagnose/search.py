@@ -17,13 +17,14 @@ from unicon_base.arrays import Float64, Int64
 from unicon_lab.diagnose.likelihood import Fitted
 from unicon_lab.diagnose.motion import Motion
 from unicon_lab.diagnose.plant import KINDS, Place
-from unicon_lab.diagnose.replays import Derivatives, Run, Settled
+from unicon_lab.diagnose.replays import Run
+from unicon_lab.diagnose.windows import Derivatives, Settled
 
 COMPARED = 12
 """Changes whose derivatives are taken of all windows, of those that fit best alone."""
-FOLLOWED = 5
-"""Changes that are followed to their best size, of these."""
-PARTS = (0.5, 1.0, 2.0), (1.0,), (1.0,)
+FOLLOWED, OF_A_KIND = 6, 2
+"""Changes that are followed to their best size, of these, and of one kind."""
+PARTS = (0.5, 1.5, 4.0), (1.0,), (1.0,)
 """Parts of a fitted step that are tried, in each turn: contacts resist more than a derivative says,
 and less far away."""
 CLEAR = 8.0
@@ -34,18 +35,19 @@ MOST = 4
 """Causes of one record."""
 HOPE = 3.0
 """What a fit by derivatives promises is exceeded by at most so much."""
-HOPELESS = 5.0
+NEAR, RIVALS = 0.7, 3
+"""Part of the best candidate's log odds, from which others are fitted as closely; at most so
+many."""
+HOPELESS = 8.0
 """Log odds by which a candidate may lag behind what it needs, and is followed still."""
-REFINED = 7
-"""Turns in which sizes and the unknown beginnings of windows are fitted together, at most. Their
-steps get smaller from the third on, since contacts make the likelihood rough (Robbins and Monro
-1951)."""
 BESIDE = 0.03
 """Share of the square error that found causes explain, which the next one has to explain too: less
 may be what noise at the beginning of windows biases them by."""
 OF_REFERENCE = 0.1
 """Share of the square error that a reference's change explains, which each cause has to explain:
 what the simulator lacks depends on the cause a little."""
+UNSURE = 0.5
+"""Standard deviation of a reference's share of a size, as a part of it; the share is taken off."""
 MOST_REFERENCE = 6
 """Changes of a reference."""
 BIAS_FOUND = 0.03
@@ -124,6 +126,7 @@ class Search:
     found: Found
     motion: Motion
     _scale: Float64
+    _left: Float64
 
     def __init__(
         self,
@@ -156,17 +159,27 @@ class Search:
         reference = self._reference
         self._scale = reference._scale if reference else self._windows.likelihood.scale
         whole = self._error(now)
-        self._slopes.take(now, self._windows.begins)
+        begins = self._windows.begins
+        self._slopes.take(now, begins)
         for _ in range(2 * self._most):  # a cause may be dropped for another one, and come again
             if len(found.causes) == self._most:
                 break
             followed = self._followed(at, now)
+            if followed and followed[0].odds > CLEAR - HOPELESS:
+                rivals = self._rivals(followed, now)
+                now, begins = self._windows.begun(at)
+                for one in rivals:
+                    refined = self._windows.refined(one.change, one.begins)
+                    one.change, one.answers, one.begins, one.fitted = refined
+                followed = self._judged(followed, now, begins)
             if not followed or followed[0].odds < CLEAR or not self._matters(followed[0]):
                 break
             best = followed[0]
-            less = self._error(now) - self._error(best.answers, best.begins)
-            lacking = OF_REFERENCE * reference._explained if reference else 0.0
-            if less < max(BESIDE * (whole - self._error(now)), lacking):
+            assert best.fitted is not None
+            error = self._error(now, begins)
+            less = error - self._error(best.answers, best.begins)
+            least = OF_REFERENCE * reference._explained if reference else 0.0
+            if less < max(BESIDE * (whole - error), least):
                 break
             alike = [each.place for each in followed[1:] if best.odds - each.odds < ALIKE]
             alike += self._like(best, [each.place for each in followed])
@@ -177,70 +190,66 @@ class Search:
                 / (weights.sum() + math.exp(-min(best.odds, 700)))
             )
             found.shown[best.place] = self._shown(now, best.answers)
-            at, now, fitted = self._refined(best)
-            found.change, found.after = at, self._square(now)
+            at, self._windows.begins = best.change, best.begins
+            now = self._windows.derived(at)
+            found.after = self._square(now)
             bias = np.array([KINDS[kind].bias for kind, _ in at])
             bias = np.maximum(bias, BIAS_FOUND) if self.motion.sought else bias
             biased = bias * np.array(list(at.values()))
             rounded = self._run.step * np.array([0.06 * KINDS[kind].stepped for kind, _ in at])
-            variance = self._wider**2 * (np.diag(fitted.spread) + biased**2) + rounded**2
+            variance = self._wider**2 * (np.diag(best.fitted.spread) + biased**2) + rounded**2
             known = reference.found.deviation if reference else {}
             variance += np.array([known.get(place, 0.0) / 1.96 for place in at]) ** 2
+            sizes = np.array(list(at.values()))
+            if reference:
+                lacking = reference.lacking(list(at))
+                sizes -= lacking.size
+                variance += np.diag(lacking.spread) + (UNSURE * lacking.size) ** 2
+            found.change = dict(zip(at, sizes.tolist()))
             halves = 1.96 * np.sqrt(variance)
             found.deviation = dict(zip(at, map(float, halves)))
             self._tell(f"{best.place[0]}: log odds {best.odds:.0f}")
             idle = [place for place in at if self._idle(place)]
             if idle:  # what seemed to be a cause was another one's doing
                 found.causes = [each for each in found.causes if each[0] not in idle]
-                at = found.change = {p: size for p, size in at.items() if p not in idle}
+                at = {p: size for p, size in at.items() if p not in idle}
+                found.change = {place: found.change[place] for place in at}
                 now = self._windows.derived(at)
                 found.after = self._square(now)
-            self._explained = whole - self._error(now)
+            self._explained, begins = whole - self._error(now), self._windows.begins
+        self._windows.begins = begins
         found.complete = True
         return found
 
-    def _refined(self, one: Candidate) -> tuple[dict[Place, float], Float64, Fitted]:
-        """Return sizes, answers and fit of a candidate once sizes and beginnings suit each other.
+    def rest(self) -> None:
+        """Keep what the search has left of a healthy motion, for `lacking`."""
+        self._left = self._windows.left(self._windows.derived(self.found.change))
 
-        Both are fitted at once; each window begins anew only where that helps.
-        """
-        at, self._windows.begins = one.change, one.begins
-        usual = np.array([KINDS[kind].usual for kind, _ in at])
-        for turn in range(REFINED):
-            now = self._windows.derived(at)
-            beside = [at | {place: size + KINDS[place[0]].step} for place, size in at.items()]
-            moved = self._run(beside, [self._windows.begins] * len(at))
-            slopes = np.stack([(e - now) / KINDS[k].step for e, (k, _) in zip(moved, at)], axis=-1)
-            left = self._windows.left(now)
-            fitted = self._windows.likelihood.fit(left, slopes, usual)
-            sizes = np.array(list(at.values()))
-            after = sizes + fitted.size / max(turn, 1)
-            after = np.array([self._run.clip(*each) for each in zip(at, after)])
-            if np.all(np.abs(after - sizes) < 0.2 * np.sqrt(np.diag(fitted.spread))):
-                break
-            at = dict(zip(at, after.tolist()))
-            tries = self._windows.tries(self._windows.begins, left - slopes @ (after - sizes))
-            now, self._windows.begins = self._windows.chosen(at, tries)
-        else:
-            now = self._windows.derived(at)
-        stepped = [place for place in at if KINDS[place[0]].stepped]
-        for place in stepped:
-            at = self._peak(at, place)
-        if stepped:
-            now = self._windows.derived(at)
-        return at, now, fitted
+    def lacking(self, places: Sequence[Place]) -> Fitted:
+        """Return what changes of places would explain of what `rest` kept."""
+        usual = np.array([KINDS[kind].usual for kind, _ in places])
+        slopes = np.stack([self._slopes[place] for place in places], axis=-1)
+        return self._windows.likelihood.fit(self._left, slopes, usual)
 
-    def _peak(self, at: dict[Place, float], place: Place) -> dict[Place, float]:
-        """Return sizes with the one that a simulator rounds to its steps where a parabola peaks."""
-        step = self._run.step
-        grid = max(round(at[place] / step), 2) * step + step * np.arange(-2.0, 3.0)
-        answers = self._run(
-            [at | {place: float(size)} for size in grid], [self._windows.begins] * len(grid)
-        )
-        logs = np.array([self._windows.likelihood.log(self._windows.left(e)) for e in answers])
-        bent, slope, _ = np.polyfit(grid - grid[2], logs, 2)
-        peak = grid[2] - 0.5 * slope / bent if bent < 0.0 else grid[logs.argmax()]
-        return at | {place: float(np.clip(peak, grid[0], grid[-1]))}
+    def _rivals(self, followed: Sequence[Candidate], now: Float64) -> list[Candidate]:
+        """Return the best candidate, and those that come near it: contacts hide which is right."""
+        log = self._windows.likelihood.log(self._windows.left(now))
+        near = NEAR * (followed[0].log - log)
+        return [one for one in followed[:RIVALS] if one.log - log >= near]
+
+    def _judged(
+        self, followed: Sequence[Candidate], now: Float64, begins: Float64
+    ) -> list[Candidate]:
+        """Return candidates by their odds against answers `now` of windows that begin so."""
+        likelihood = self._windows.likelihood
+        for one in followed:
+            one.log = likelihood.log(self._windows.left(one.answers, one.begins))
+        best = max(followed, key=lambda one: one.log)
+        kappa = max(best.fitted.kappa if best.fitted else 1.0, 1.0) * self._wider**2
+        log = likelihood.log(self._windows.left(now, begins))
+        for one in followed:
+            one.odds = (one.log - log) / kappa + self._price(one.place)
+        return sorted(followed, key=lambda one: -one.odds)
 
     def _like(self, best: Candidate, followed: Sequence[Place]) -> list[Place]:
         """Return what would explain a motion as well as the best, of what was not followed.
@@ -295,7 +304,9 @@ class Search:
         log = self._windows.likelihood.log(self._windows.left(now))
         places = self._best_alone(now, [place for place in self._places if place not in at])
         self._slopes.complete(places[:COMPARED])
-        places = self._best_alone(now, places[:COMPARED])[:FOLLOWED]
+        places = self._best_alone(now, places[:COMPARED])
+        kinds = [kind for kind, _ in places]
+        places = [p for i, p in enumerate(places) if kinds[:i].count(p[0]) < OF_A_KIND][:FOLLOWED]
         candidates = [
             Candidate(place, at | {place: 0.0}, now, self._slopes[place], log, begins)
             for place in places
@@ -309,11 +320,7 @@ class Search:
             moving = self._step(moving, parts)
         for one in candidates:
             self._fit(one)
-        best = max(candidates, key=lambda one: one.log)
-        kappa = max(best.fitted.kappa if best.fitted else 1.0, 1.0) * self._wider**2
-        for one in candidates:
-            one.odds = (one.log - log) / kappa + self._price(one.place)
-        return sorted(candidates, key=lambda one: -one.odds)
+        return self._judged(candidates, now, begins)
 
     def _best_alone(self, now: Float64, places: Sequence[Place]) -> list[Place]:
         """Return places, the one whose change explains most alone first, by derivatives."""

@@ -1,0 +1,207 @@
+"""Windows of a motion: how they begin, and derivatives of their answers.
+
+What a window begins with was measured with noise, and the velocity and the height of the base often
+not at all. It is found for each window: at first by the joints alone, then by the likelihood,
+together with sizes of changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from unicon_base.arrays import Bool, Float64, Int64
+from unicon_lab.diagnose.likelihood import Fitted, Likelihood
+from unicon_lab.diagnose.motion import Motion
+from unicon_lab.diagnose.plant import KINDS, Change, Place
+from unicon_lab.diagnose.replays import Run
+
+REFINED = 7
+"""Turns in which sizes and the unknown beginnings of windows are fitted together, at most. Their
+steps get smaller from the third on, since contacts make the likelihood rough (Robbins and Monro
+1951)."""
+BEGUN = 3
+"""Turns in which beginnings alone are, before a candidate is compared with none."""
+_SETTLED = 2
+"""Turns in which the beginnings alone are fitted by the likelihood."""
+_WORST = 3.0
+"""Most that an error counts beside its median, where a window chooses how it begins."""
+
+ENOUGH = 24
+"""Windows, from which on every second one is enough for a first look at all changes."""
+
+
+class Settled:
+    """How the windows of a motion begin, and the likelihood of what is left of them.
+
+    Args:
+        motion: that was measured.
+        run: replays changes.
+
+    Attributes:
+        begins: of windows.
+        likelihood: leaves out what other beginnings could explain.
+    """
+
+    def __init__(self, motion: Motion, run: Run) -> None:
+        self._real, self._run = motion.answers, run
+        self.begins: Float64
+        self.likelihood: Likelihood
+
+    def begin(self) -> Float64:
+        """Find how windows begin without a change, and return the answers."""
+        self.begins = self._run.settle({})
+        now, self._unknown = self._run.derived({}, self.begins)
+        self.likelihood = Likelihood(self._real - now)
+        self._leave_out(now)
+        for _ in range(_SETTLED):
+            _, self.begins = self.chosen({}, self.tries(self.begins, self.left(now)))
+            now = self.derived({})
+        return now
+
+    def derived(self, change: Change) -> Float64:
+        """Return the answers with a change; the likelihood is from now on of what is left there."""
+        now, self._unknown = self._run.derived(change, self.begins)
+        self._leave_out(now)
+        return now
+
+    def _leave_out(self, now: Float64) -> None:
+        self.likelihood.leave_out(self._unknown, self._run.likely, self._real - now)
+
+    def begun(self, at: dict[Place, float]) -> tuple[Float64, Float64]:
+        """Return answers and beginnings with changes that stay, fitted as closely as others are."""
+        for _ in range(BEGUN):
+            now = self.derived(at)
+            now, self.begins = self.chosen(at, self.tries(self.begins, self.left(now)))
+        return now, self.begins
+
+    def refined(
+        self, at: dict[Place, float], begins: Float64
+    ) -> tuple[dict[Place, float], Float64, Float64, Fitted]:
+        """Fit sizes of changes together with how windows begin; these only where that helps one.
+
+        Returns:
+            Sizes, answers, beginnings, and the last fit.
+        """
+        usual = np.array([KINDS[kind].usual for kind, _ in at])
+        self.begins = begins
+        for turn in range(REFINED):
+            now = self.derived(at)
+            beside = [at | {place: size + KINDS[place[0]].step} for place, size in at.items()]
+            moved = self._run(beside, [self.begins] * len(at))
+            slopes = np.stack([(e - now) / KINDS[k].step for e, (k, _) in zip(moved, at)], axis=-1)
+            left = self.left(now)
+            fitted = self.likelihood.fit(left, slopes, usual)
+            sizes = np.array(list(at.values()))
+            after = sizes + fitted.size / max(turn, 1)
+            after = np.array([self._run.clip(*each) for each in zip(at, after)])
+            if np.all(np.abs(after - sizes) < 0.2 * np.sqrt(np.diag(fitted.spread))):
+                break
+            at = dict(zip(at, after.tolist()))
+            tries = self.tries(self.begins, left - slopes @ (after - sizes))
+            now, self.begins = self.chosen(at, tries)
+        stepped = [place for place in at if KINDS[place[0]].stepped]
+        for place in stepped:
+            at = self._peak(at, place)
+        if stepped:
+            now = self._run([at], [self.begins])[0]
+        return at, now, self.begins, fitted
+
+    def _peak(self, at: dict[Place, float], place: Place) -> dict[Place, float]:
+        """Return sizes with the one that a simulator rounds to its steps where a parabola peaks."""
+        step = self._run.step
+        grid = max(round(at[place] / step), 2) * step + step * np.arange(-2.0, 3.0)
+        answers = self._run([at | {place: float(size)} for size in grid], [self.begins] * len(grid))
+        logs = np.array([self.likelihood.log(self.left(e)) for e in answers])
+        bent, slope, _ = np.polyfit(grid - grid[2], logs, 2)
+        peak = grid[2] - 0.5 * slope / bent if bent < 0.0 else grid[logs.argmax()]
+        return at | {place: float(np.clip(peak, grid[0], grid[-1]))}
+
+    def left(self, answers: Float64, begins: Float64 | None = None) -> Float64:
+        """Return what is left of the motion, had windows begun as they were measured.
+
+        Args:
+            answers: of a replay, shape (w, l, m).
+            begins: of that replay, by default those that are the best.
+        """
+        begins = self.begins if begins is None else begins
+        return np.asarray(self._real - answers + np.einsum("wlmq,wq->wlm", self._unknown, begins))
+
+    def tries(self, begins: Float64, left: Float64) -> list[Float64]:
+        """Return how windows may begin: as they do, and so that it explains what is left.
+
+        Contacts resist more than a derivative says, so a step of twice the size is one of them.
+        """
+        step = self.likelihood.unknowns(left) - begins
+        return [begins, begins + step, begins + 2.0 * step]
+
+    def chosen(self, change: Change, tries: Sequence[Float64]) -> tuple[Float64, Float64]:
+        """Return the answers of a change, and how each window begins where it fits best."""
+        return self.best(self._run([change] * len(tries), tries), tries)
+
+    def best(self, answers: Sequence[Float64], tries: Sequence[Float64]) -> tuple[Float64, Float64]:
+        """Return answers and beginnings that fit best, for each window by itself."""
+        costs = []
+        for answer, begins in zip(answers, tries):
+            left = np.minimum(np.abs((self._real - answer) / self.likelihood.scale), _WORST)
+            unlikely = begins / self._run.likely
+            costs.append((left**2).sum(axis=(1, 2)) + (unlikely**2).sum(axis=1))
+        window, which = np.arange(len(self._real)), np.argmin(costs, axis=0)
+        return np.stack(answers)[which, window], np.stack(tries)[which, window]
+
+
+class Derivatives:
+    """Derivatives of a motion's answers by the places of a plant, shape (w, l, m) each.
+
+    Args:
+        places: by which.
+        limbs: of each joint, shape (n,); joints of several limbs are moved at once, each its own.
+        run: replays changes.
+        windows: of the motion. Of `ENOUGH`, every second one is zero until it is asked for.
+
+    Attributes:
+        half: windows that all derivatives have, shape (w,).
+    """
+
+    def __init__(self, places: Sequence[Place], limbs: Int64, run: Run, windows: int) -> None:
+        self._places, self._limbs, self._run = places, limbs, run
+        self.half: Bool = np.arange(windows) % (1 + (windows >= ENOUGH)) == 0
+        self._found: dict[Place, Float64] = {}
+        self._lacking = {*places} if windows >= ENOUGH else set[Place]()
+        self._now: Float64
+        self._begins: Float64
+
+    def __getitem__(self, place: Place) -> Float64:
+        return self._found[place]
+
+    def take(self, now: Float64, begins: Float64) -> None:
+        """Take all where answers are `now`, of windows that begin so."""
+        self._now, self._begins = now, begins
+        together: dict[tuple[str, int], list[Place]] = {}
+        for kind, joint in self._places:
+            turn = joint if joint < 0 else int((self._limbs[:joint] == self._limbs[joint]).sum())
+            together.setdefault((kind, turn), []).append((kind, joint))
+        groups = list(together.values())
+        for group, slope in zip(groups, self._taken(groups, self.half)):
+            for place in group:
+                own = np.ones(slope.shape[-1], np.bool_)
+                if len(group) > 1:
+                    own[len(self._limbs) :] = False
+                    own[: len(self._limbs)] = self._limbs == self._limbs[place[1]]
+                self._found[place] = slope * own
+
+    def complete(self, places: Sequence[Place]) -> None:
+        """Take those of places in the other windows, too."""
+        lacking = [place for place in places if place in self._lacking]
+        for place, slope in zip(lacking, self._taken([[each] for each in lacking], ~self.half)):
+            self._found[place] = self._found[place] + slope
+        self._lacking -= {*lacking}
+
+    def _taken(self, groups: Sequence[Sequence[Place]], windows: Bool) -> list[Float64]:
+        """Return derivatives by a step of each group; zeros of other windows."""
+        steps = [KINDS[group[0][0]].step for group in groups]
+        changes = [dict.fromkeys(group, step) for group, step in zip(groups, steps)]
+        begins = np.where(windows[:, None], self._begins, np.nan)
+        moved = self._run(changes, [begins] * len(groups))
+        return [np.nan_to_num((each - self._now) / step) for each, step in zip(moved, steps)]
