@@ -8,7 +8,8 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -120,10 +121,10 @@ def test_the_header_says_where_states_lie(tmp_path: Path) -> None:
         assert f"(struct unicon_tick_states, {name}, {slot.offset}, {slot.nbytes})" in text
     program.close()
     assert "/* joint positions; rad: " in text
-    first, cpu, rest = (tmp_path / "out" / "vectors.bin").read_bytes().split(b"\n", 2)
-    ticks, done, into, out, version = first.decode().split()
-    assert (ticks, done, version) == ("3", "0", "none")
-    assert len(rest) == 3 * (int(into) + int(out))
+    ticks, done, into, out, took, cpu, rest = head_of(tmp_path / "out")
+    assert (ticks, done) == (3, 0)
+    assert 0.0 < took[0] <= took[1] <= took[2]
+    assert len(rest) == 3 * (into + out)
     assert cpu in Path("/proc/cpuinfo").read_bytes()
     if compiler := shutil.which("cc"):
         for language in ("c", "c++"):
@@ -204,61 +205,118 @@ def bare(tmp_path: Path) -> Path:
     return folder
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("workflow", WORKFLOWS)
-def test_compiled_without_python(workflow: str, bare: Path, tmp_path: Path) -> None:
+def onnxruntime_library() -> Path:
+    """Return the shared library of the installed wheel, or skip."""
     import onnxruntime
 
-    if workflow == "g1_walk" and not os.environ.get("UNICON_ASSETS"):
-        pytest.skip("no assets (UNICON_ASSETS)")
     library = next((Path(onnxruntime.__file__).parent / "capi").glob("libonnxruntime.so*"), None)
     if library is None:
         pytest.skip("onnxruntime without a shared library")
-    ticks, name, words = WORKFLOWS[workflow], workflow, list[str]()
-    if workflow == "mixed":
-        name = mixed(tmp_path)
-    if workflow == "unsafe":  # a command that is not finite is none nevertheless
-        name, words = "go2_walk", ["--set", "safety=none"]
-    out = tmp_path / "out"
-    assert exported(out, name, "--ticks", str(ticks), *words) == 0
+    return library
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Exports a workflow of WORKFLOWS, once for all compilers."""
+
+    @cache
+    def exported_once(workflow: str) -> Path:
+        folder, name, words = tmp_path_factory.mktemp(workflow), workflow, list[str]()
+        if workflow == "mixed":
+            name = mixed(folder)
+        if workflow == "unsafe":  # a command that is not finite is none nevertheless
+            name, words = "go2_walk", ["--set", "safety=none"]
+        ticks, out = WORKFLOWS[workflow], folder / "out"
+        assert exported(out, name, "--ticks", str(ticks), *words) == 0
+        count, done, into, size, *_, rest = head_of(out)
+        rows = np.frombuffer(rest[count * into :], np.float32).reshape(count, -1)
+        python = np.frombuffer(commands(name, ticks, words[1:]), np.float32).reshape(count, -1)
+        assert done == (workflow == "mixed")
+        assert rows.nbytes == count * size
+        assert (rows[:, : python.shape[1]].view(np.int32) == python.view(np.int32)).all()
+        return out
+
+    return exported_once
+
+
+def head_of(out: Path) -> tuple[int, int, int, int, list[float], bytes, bytes]:
+    """Return ticks, done, bytes of input and output, times [us], CPU features and vectors."""
     first, cpu, rest = (out / "vectors.bin").read_bytes().split(b"\n", 2)
-    count, done, into, size, _ = first.decode().split()
-    rows = np.frombuffer(rest[int(count) * int(into) :], np.float32).reshape(int(count), -1)
-    python = np.frombuffer(commands(name, ticks, words[1:]), np.float32).reshape(int(count), -1)
-    assert (done == "1") == (workflow == "mixed")
-    assert rows.nbytes == int(count) * int(size)
-    assert (rows[:, : python.shape[1]].view(np.int32) == python.view(np.int32)).all()
-    compilers = [each for each in ("g++", "clang++") if shutil.which(each)]
-    if not compilers:
-        pytest.skip("neither g++ nor clang++ (apt install g++ clang)")
+    ticks, done, into, size, _, *took = first.decode().split()
+    return int(ticks), int(done), int(into), int(size), [*map(float, took)], cpu, rest
+
+
+FAST = ("-O2", "-fno-fast-math", "-ffp-contract=off")
+CHECKED = (*FAST, "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+NUMBERS = r"p50 ([\d.]+), p99 ([\d.]+), maximum ([\d.]+)"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("flags", [FAST, CHECKED], ids=["fast", "sanitizers"])
+@pytest.mark.parametrize("compiler", ["g++", "clang++"])
+@pytest.mark.parametrize("workflow", WORKFLOWS)
+def test_compiled_without_python(
+    workflow: str,
+    compiler: str,
+    flags: tuple[str, ...],
+    bare: Path,
+    tmp_path: Path,
+    project: Callable[[str], Path],
+) -> None:
+    if workflow == "g1_walk" and not os.environ.get("UNICON_ASSETS"):
+        pytest.skip("no assets (UNICON_ASSETS)")
+    if shutil.which(compiler) is None:
+        pytest.skip(f"no {compiler} (apt install {'clang' if compiler == 'clang++' else compiler})")
+    if flags == CHECKED:
+        empty = tmp_path / "empty.cpp"
+        empty.write_text("int main() {}\n")
+        command = [compiler, *flags, empty, "-o", tmp_path / "empty"]
+        if subprocess.run(command, capture_output=True).returncode:
+            pytest.skip(f"{compiler} without sanitizers (apt install libclang-rt-dev)")
+    library = onnxruntime_library()
+    out = shutil.copytree(project(workflow), tmp_path / "out")
+    count, *_, python, _, _ = head_of(out)
+    strict = [compiler, "-std=c++17", "-Wall", "-Wextra", "-Werror", *flags]
+    run(bare, out, *strict, "-c", "controller.cpp")
     attack = Path(__file__).with_name("attack_controller.cpp")
-    fast = ("-O2", "-fno-fast-math", "-ffp-contract=off")
-    checked = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
-    sets: list[Sequence[str]] = [fast, (*fast, *checked)]
-    for compiler in compilers:
-        for flags in sets:
-            strict = [compiler, "-std=c++17", "-Wall", "-Wextra", "-Werror", *flags]
-            run(bare, out, *strict, "-c", "controller.cpp")
-            for program in (attack, "replay.cpp")[workflow == "h1_stand" :]:  # no network is missed
-                run(bare, out, *strict, "-I.", "controller.o", program, "-o", "p", "-ldl")
-                said = run(bare, out, "./p", ".", library).stdout
-                if program == attack:
-                    first_block = "send" if workflow == "unsafe" else "finite"
-                    assert said.startswith(first_block) or workflow == "g1_walk"
-                    assert said.endswith("policy\n") or workflow == "mixed"
-                else:
-                    assert said == f"{count} ticks: equal bit for bit\n"
-    if shutil.which("cmake") and shutil.which("make"):
-        made = "-B", "b", "-G", "Unix Makefiles", f"-DUNICON_ONNXRUNTIME={library}"
-        run(bare, out, "cmake", *made)
-        run(bare, out, "cmake", "--build", "b")
-        run(bare, out, "ctest", "--test-dir", "b", "--output-on-failure")
+    for program in (attack, "replay.cpp")[workflow == "h1_stand" :]:  # no network is missed
+        run(bare, out, *strict, "-I.", "controller.o", program, "-o", "p", "-ldl")
+        said = run(bare, out, "./p", ".", library).stdout
+        if program == attack:
+            first_block = "send" if workflow == "unsafe" else "finite"
+            assert said.startswith(first_block) or workflow == "g1_walk"
+            assert said.endswith("policy\n") or workflow == "mixed"
+    equal, spread = said.splitlines()
+    assert equal == f"{count} ticks: equal bit for bit"
+    print(f"{workflow}, {compiler}, {flags[-2]}: {spread}")
+    found = re.fullmatch(rf"a step \[us\]: {NUMBERS}; Python's: {NUMBERS}", spread)
+    assert found
+    times = [*map(float, found.groups())]
+    assert times[3:] == python
+    assert 0.0 < times[0] <= times[1] <= times[2]
+    assert 0.0 < times[3] <= times[4] <= times[5]
+
+
+@pytest.mark.slow
+def test_its_cmake_project_and_damaged_vectors(
+    bare: Path, tmp_path: Path, project: Callable[[str], Path]
+) -> None:
+    for tool in ("cmake", "make", "c++"):
+        if shutil.which(tool) is None:
+            pytest.skip(f"no {tool} (apt install cmake make g++)")
+    library = onnxruntime_library()
+    out = shutil.copytree(project("go2_walk"), tmp_path / "out")
+    made = "-B", "b", "-G", "Unix Makefiles", f"-DUNICON_ONNXRUNTIME={library}"
+    run(bare, out, "cmake", *made)
+    run(bare, out, "cmake", "--build", "b")
+    run(bare, out, "ctest", "--test-dir", "b", "--output-on-failure")
+    first, cpu, rest = (out / "vectors.bin").read_bytes().split(b"\n", 2)
     (out / "vectors.bin").write_bytes(b"\n".join([first, cpu + b" more", rest]))
-    said = run(bare, out, "./p", ".", library).stdout
+    said = run(bare, out, "b/replay", ".", library).stdout
     assert "; other CPU features: compared within 1e-5" in said
-    assert f"{count} ticks: equal within 1e-5" in said
+    assert "1000 ticks: equal within 1e-5" in said
     for damaged in (rest, b"\n".join([first, cpu, rest[:-1]]), b""):
         (out / "vectors.bin").write_bytes(damaged)
-        ended = subprocess.run([out / "p", out, library], capture_output=True, text=True)
+        ended = subprocess.run([out / "b/replay", out, library], capture_output=True, text=True)
         assert ended.returncode == 1
         assert "vectors.bin is absent, cut off or another's" in ended.stderr

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from time import perf_counter_ns
 from typing import Any
 
 import numpy as np
@@ -136,32 +137,49 @@ def _project(program: Program, ticks: int) -> tuple[dict[str, bytes], list[Piece
 
         return record
 
-    inputs, outputs = list[bytes](), list[bytes]()
+    inputs, outputs, took = list[bytes](), list[bytes](), list[int]()
     received = recorder(structs["tick_input"], inputs)
     sent = recorder(structs["tick_output"], outputs)
     take, give = recv.tick, send.tick
-    recv.tick = lambda: (take(), received())[0]
-    send.tick = lambda: (sent(), give())[1]
+
+    def begin() -> object:
+        done = take()
+        received()
+        took.append(-perf_counter_ns())
+        return done
+
+    def end() -> object:
+        took[-1] += perf_counter_ns()
+        sent()
+        return give()
+
+    recv.tick, send.tick = begin, end
     try:
-        done = _ran(root, states, ticks)
+        done = _ran(root, states, ticks, took)
     except Fault as fault:
         raise WorkflowError(
             f"{program.name}: the recorded run ends with a fault in tick {len(inputs)}: {fault}; "
             "correct the workflow, or give fewer --ticks"
         ) from fault
     version = import_module("onnxruntime").__version__ if graph.networks else "none"
-    words = len(outputs), int(done), len(inputs[0]), len(outputs[0]), version
+    spread = [f"{each / 1e3:.1f}" for each in np.percentile(took, (50, 99, 100))]
+    words = len(outputs), int(done), len(inputs[0]), len(outputs[0]), version, *spread
     head = f"{' '.join(map(str, words))}\n{_cpu_features()}\n"
     written["vectors.bin"] = head.encode() + b"".join(inputs + outputs)
     return written, graph.networks
 
 
-def _ran(root: Node, states: States, ticks: int) -> bool:
-    """Run a tree in Python, for so many ticks at most; return whether the last one was done."""
+def _ran(root: Node, states: States, ticks: int, took: list[int]) -> bool:
+    """Run a tree in Python, for so many ticks at most; return whether the last one was done.
+
+    The time of what follows `send` is added to what each tick took, [ns].
+    """
     graph, done = compile_graph(root), False
     for _ in range(ticks):
         done = graph.step()
+        took[-1] -= perf_counter_ns()
         done = graph.deferred() or done
+        took[-1] += perf_counter_ns()
         states["tick"][...] += 1
         if done:
             break

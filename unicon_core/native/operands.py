@@ -55,11 +55,11 @@ template <class T> static inline T lesser(T a, T b) { return a != a ? a : a < b 
 // As Python's max and min.
 template <class T> static inline T larger(T a, T b) { return b > a ? b : a; }
 template <class T> static inline T smaller(T a, T b) { return b < a ? b : a; }
-static inline float magnitude(float x) { return __builtin_fabsf(x); }
-static inline double magnitude(double x) { return __builtin_fabs(x); }
+[[maybe_unused]] static inline float magnitude(float x) { return __builtin_fabsf(x); }
+[[maybe_unused]] static inline double magnitude(double x) { return __builtin_fabs(x); }
 
 // Of block drive.
-static inline double steady(double value, double dead_zone) {
+[[maybe_unused]] static inline double steady(double value, double dead_zone) {
   double beyond = magnitude(value) - dead_zone;
   if (!(beyond > 0.0)) return 0.0;
   double share = smaller(beyond / (1.0 - dead_zone), 1.0);

@@ -280,7 +280,7 @@ class Stretches:
                 if called := _called(test):
                     yield f"if ((c = {self.asked(called)}) < 0) return -1;"
                     condition = "c"
-                yield f"if ({condition}) {{"
+                yield f"if (bool({condition})) {{"  # clang warns of ((a == b))
                 yield from indent([line for each in body for line in self.cpp(each)])
                 yield "} else {"
                 yield from indent([line for each in other for line in self.cpp(each)])

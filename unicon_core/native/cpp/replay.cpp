@@ -1,13 +1,16 @@
 // `replay FOLDER ONNXRUNTIME` runs recorded inputs and compares the outputs: bit for bit with the
-// ONNX Runtime and CPU features of the recording, else within 1e-5. vectors.bin begins with
-// a line of ticks, whether the last one is done, bytes of input and output and version, and one of
-// CPU features as in /proc/cpuinfo.
+// ONNX Runtime and CPU features of the recording, else within 1e-5; then prints how long a step took.
+// vectors.bin begins with a line of ticks, whether the last one is done, bytes of input and output,
+// version and the p50, p99 and maximum of Python's tick without recv and send [us], and one of CPU
+// features as in /proc/cpuinfo.
 #include "controller.h"
 
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
 
+#include <algorithm>
+#include <chrono>
 #include <fstream>
 #include <sstream>
 #include <string>
@@ -27,7 +30,9 @@ int main(int count, char** words) {
   std::getline(file, line);
   std::getline(file, cpu);
   size_t ticks = 0, done = 0, in = 0, out = 0;
-  std::istringstream(line) >> ticks >> done >> in >> out >> version;
+  double python[3] = {};
+  std::istringstream(line) >> ticks >> done >> in >> out >> version >> python[0] >> python[1] >>
+      python[2];
   std::vector<unicon_tick_input> inputs(ticks);
   std::vector<unicon_tick_output> outputs(ticks);
   file.read((char*)inputs.data(), (std::streamsize)(ticks * in));
@@ -46,9 +51,13 @@ int main(int count, char** words) {
   if (!exact)
     printf("recorded with onnxruntime %s, here %s; %s CPU features: compared within 1e-5\n",
            version.c_str(), here.c_str(), cpu == features() ? "the same" : "other");
+  std::vector<double> took;
   for (size_t tick = 0; tick < ticks; ++tick) {
     unicon_tick_output found;
+    auto begun = std::chrono::steady_clock::now();
     int result = unicon_step(&inputs[tick], &found);
+    std::chrono::duration<double, std::micro> passed = std::chrono::steady_clock::now() - begun;
+    took.push_back(passed.count());
     const float *one = (const float*)&found, *other = (const float*)&outputs[tick];
     bool same = exact ? !memcmp(one, other, out) : true;
     for (size_t i = 0; i < out / sizeof(float) && !exact; ++i)
@@ -59,5 +68,9 @@ int main(int count, char** words) {
     return 1;
   }
   printf("%zu ticks: equal %s\n", ticks, exact ? "bit for bit" : "within 1e-5");
+  std::sort(took.begin(), took.end());
+  auto share = [&](double of) { return took[(size_t)(of * (double)(ticks - 1))]; };
+  printf("a step [us]: p50 %.1f, p99 %.1f, maximum %.1f; Python's: p50 %.1f, p99 %.1f, maximum %.1f\n",
+         share(0.5), share(0.99), share(1.0), python[0], python[1], python[2]);
   return 0;
 }
