@@ -124,6 +124,7 @@ flow:
         damping: 1.0
         start_tolerance: 0.5
     - forward_command: {moves: ["R*"], silent: hold, integral: 1.0, name: rear}
+wind_down: {external: {segment: commands, timeout: 0.2}}
 safety: [finite, joint_limits]
 """
 

@@ -228,6 +228,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
             name, words = "go2_walk", ["--set", "safety=none"]
         ticks, out = WORKFLOWS[workflow], folder / "out"
         assert exported(out, name, "--ticks", str(ticks), *words) == 0
+        assert main(["states", "--header", str(out / "states.h"), name, *words]) == 0
         count, done, into, size, *_, rest = head_of(out)
         rows = np.frombuffer(rest[count * into :], np.float32).reshape(count, -1)
         python = np.frombuffer(commands(name, ticks, words[1:]), np.float32).reshape(count, -1)
@@ -278,6 +279,7 @@ def test_compiled_without_python(
     count, *_, python, _, _ = head_of(out)
     strict = [compiler, "-std=c++17", "-Wall", "-Wextra", "-Werror", *flags]
     run(bare, out, *strict, "-c", "controller.cpp")
+    run(bare, out, *strict, "-c", "main.cpp")
     attack = Path(__file__).with_name("attack_controller.cpp")
     for program in (attack, "replay.cpp")[workflow == "h1_stand" :]:  # no network is missed
         run(bare, out, *strict, "-I.", "controller.o", program, "-o", "p", "-ldl")
@@ -309,6 +311,10 @@ def test_its_cmake_project_and_damaged_vectors(
     made = "-B", "b", "-G", "Unix Makefiles", f"-DUNICON_ONNXRUNTIME={library}"
     run(bare, out, "cmake", *made)
     run(bare, out, "cmake", "--build", "b")
+    run(bare, out, "cmake", "--build", "b", "--target", "drive")
+    ended = subprocess.run([out / "b/drive"], capture_output=True, text=True)
+    assert ended.returncode == 2
+    assert "FOLDER SEGMENT_TO_READ SEGMENT_TO_WRITE" in ended.stderr
     run(bare, out, "ctest", "--test-dir", "b", "--output-on-failure")
     first, cpu, rest = (out / "vectors.bin").read_bytes().split(b"\n", 2)
     (out / "vectors.bin").write_bytes(b"\n".join([first, cpu + b" more", rest]))

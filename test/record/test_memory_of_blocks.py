@@ -74,7 +74,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
 }
 """Blocks that are built alone, with options that make them remember."""
 
-DEVICES = {"camera", "gamepad", "keyboard", "livox", "realsense", "webcam", "webxr"}
+DEVICES = {"camera", "external", "gamepad", "keyboard", "livox", "realsense", "webcam", "webxr"}
 """Blocks whose values come from outside; a record has them at their moment."""
 
 

@@ -27,7 +27,7 @@ BUILTIN: dict[str, str] = {
         ),
         "safety.stuck": ("EncoderStop", "ImuStop"),
         "approach": ("BlendIn", "FadeIn"),
-        "forward_command": ("ForwardCommand",),
+        "forward_command": ("External", "ForwardCommand"),
         "odometry.leg_odometry": ("LegOdometry",),
         "maps": ("copy", "linear_map", "MotorHeat", "projected_gravity"),
         "whole_body.frames": ("Frames", "MovingTarget"),

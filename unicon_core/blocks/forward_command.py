@@ -36,7 +36,10 @@ from unicon_core.models.loaded import index_of
 from unicon_core.robots import Robot
 from unicon_core.robots.load import named_pose
 from unicon_core.states import StateSpec
-from unicon_core.states.standard import forwarded_states
+from unicon_core.states.backends import Reader
+from unicon_core.states.groups import COMMAND, subset
+from unicon_core.states.links import Incoming, Silent, Store, open_reader
+from unicon_core.states.standard import COMMAND_STATES, forwarded_states
 from unicon_core.workflow.autowire import BuildContext
 
 MAX_RATE = 2.0
@@ -280,3 +283,41 @@ class ForwardCommand:
     def reset(self) -> None:
         """Begin anew from wherever the joints are at the next tick."""
         self.ticks = 0
+
+
+class External(Incoming):
+    """Send the motor commands that another process publishes, such as an exported controller.
+
+    Its segment of shared memory has the group `command` of this run: targets and gains. They
+    pass the safety blocks as any others.
+
+    Args:
+        segment: its name.
+        timeout: age of the newest command in [s] at which the run is at fault, and damps; also
+            where there is none when the flow comes to this block.
+
+    Raises:
+        StateError: a segment cannot have that name.
+    """
+
+    outside = True
+
+    def __init__(
+        self,
+        *,
+        context: BuildContext,
+        segment: str,
+        timeout: Annotated[float, positive(DURATION, "s")] = 0.1,
+    ) -> None:
+        from unicon_core.states.backends.shm import segment_path  # of Linux alone
+
+        segment_path(segment)  # a wrong name is an error now
+        states, store = context.states, Store("shm", segment)
+        groups = {COMMAND: subset(states.layout, COMMAND_STATES)}
+
+        def opened(group: str) -> Reader | None:
+            return open_reader(store, "", "", groups, group, states, timeout)
+
+        silent = Silent(timeout, "fault")
+        super().__init__(segment, groups, opened, states, silent, context.tell)
+        self.heard = True  # so that silence is a fault from the first tick on

@@ -101,9 +101,10 @@ def _project(program: Program, ticks: int) -> tuple[dict[str, bytes], list[Piece
         graph.given_to_caller(block)
     compile_graph(root, native=graph)
     read = {name for block in blocks for name in (*block.reads, *block.amends)}
+    elsewhere = read - {"tick", *facts.reads}.union(*(block.writes for block in blocks))
     layout = states.layout
     structs = {
-        "tick_input": subset(layout, read.intersection(facts.writes)),
+        "tick_input": subset(layout, read.intersection(facts.writes) | elsewhere),
         "tick_output": subset(layout, facts.reads),
         "tick_states": layout,
     }
@@ -114,15 +115,12 @@ def _project(program: Program, ticks: int) -> tuple[dict[str, bytes], list[Piece
     }
     for word, value in {
         "@NAME@": clean(program.name),
-        "@PERIOD@": f"{program.period:g}",
+        "@PERIOD@": repr(program.period),
         "@BLEND@": f"{BLEND:g}",
-        "@STRUCTS@": "\n".join(c_struct(name, each) for name, each in structs.items()),
+        "@STRUCTS@": "\n".join(_struct(name, each) for name, each in structs.items()),
     }.items():
         files["controller.h"] = files["controller.h"].replace(word, value)
     settings = [f"static const double DAMPING_STEP = {program.period / BLEND!r};"]
-    for name, each in structs.items():
-        moves = "".join(f"move({field})" for field in field_names(each.specs).values())
-        settings.append(f"#define {name.upper()}(move) {moves}")
     damping = np.array(robot.joint_damping, np.float32)
     files["controller.cpp"] = graph.project(states, first.buffer, damping, settings)
     written = {name: text.encode() for name, text in files.items()}
@@ -184,6 +182,12 @@ def _ran(root: Node, states: States, ticks: int, took: list[int]) -> bool:
         if done:
             break
     return done
+
+
+def _struct(name: str, layout: Layout) -> str:
+    """Return a struct and what lists its fields, in C."""
+    fields = "".join(f" DO({field})" for field in field_names(layout.specs).values())
+    return f"{c_struct(name, layout)}\n#define UNICON_{name.upper()}(DO){fields}"
 
 
 def _cpu_features() -> str:

@@ -147,16 +147,21 @@ def publishers(
         StateError: another run publishes under that name.
     """
     writers = open_writers(store, part, groups, states)
+    changed = {
+        stage: {s for n in nodes for b in blocks_of(n) for s in (*b.writes, *b.amends)}
+        for stage, nodes in stages.items()
+        if stage is not Stage.OBSERVE
+    }
+    written = set().union(*changed.values())
     made = []
     for name, group in groups.items():
         last = Stage.SEND if name == COMMAND else Stage.RECV
-        for stage, nodes in stages.items():
-            if stage is Stage.OBSERVE:
-                continue
-            changed = {s for n in nodes for b in blocks_of(n) for s in (*b.writes, *b.amends)}
-            if changed & set(group.specs) and _rank(stage) > _rank(last):
+        for stage, found in changed.items():
+            if found & set(group.specs) and _rank(stage) > _rank(last):
                 last = stage
-        block = as_block(Publisher(writers[name], tuple(group.specs), f"publish {name}"))
+        # A state that no block writes, such as one that a robot does not report, is published too.
+        reads = [state for state in group.specs if part or state in written]
+        block = as_block(Publisher(writers[name], reads, f"publish {name}"))
         block.stage = last
         stages[last].append(block)
         made.append(block)

@@ -238,7 +238,7 @@ def _clean() -> int:
 def _header(arguments: argparse.Namespace) -> int:
     """Write the groups of a workflow's states for C and C++."""
     from unicon_core.states.c_header import write_header
-    from unicon_core.workflow import load_workflow
+    from unicon_core.workflow import Program, load_document
 
     other = any(getattr(arguments, name) for name in ("watch", *OF_WATCH, "json", "clean"))
     if not arguments.header or not arguments.name or other:
@@ -246,7 +246,7 @@ def _header(arguments: argparse.Namespace) -> int:
             "states: --header takes a workflow, --part and --set, and they go with it alone: "
             "unicon states --header FILE.h WORKFLOW"
         )
-    program = load_workflow(arguments.name, arguments.overrides)
+    program = Program(load_document(arguments.name, arguments.overrides), dry=True)
     try:
         groups = _published(program, arguments.part)
     finally:

@@ -143,10 +143,10 @@ int unicon_step(const struct unicon_tick_input* input, struct unicon_tick_output
   if (!opened) arena.fault = 1;
 #define TAKE(field) memcpy(&unicon_states()->field, &input->field, sizeof input->field);
 #define GIVE(field) memcpy(&command.field, &unicon_states()->field, sizeof command.field);
-  TICK_INPUT(TAKE)
+  UNICON_TICK_INPUT(TAKE)
   if (!arena.fault) done = step() > 0;
   unicon_tick_output command = *sent;
-  TICK_OUTPUT(GIVE)
+  UNICON_TICK_OUTPUT(GIVE)
   if (!arena.fault && !sound(command)) arena.fault = SEND;
   if (!arena.fault) {
     *output = *sent = command;
