@@ -117,6 +117,7 @@ def _project(program: Program, ticks: int) -> tuple[dict[str, bytes], list[Piece
         "@NAME@": clean(program.name),
         "@PERIOD@": repr(program.period),
         "@BLEND@": f"{BLEND:g}",
+        "@JOINTS@": ", ".join(map(json.dumps, robot.joint_names)),
         "@STRUCTS@": "\n".join(_struct(name, each) for name, each in structs.items()),
     }.items():
         files["controller.h"] = files["controller.h"].replace(word, value)

@@ -1,5 +1,5 @@
 // `replay FOLDER ONNXRUNTIME` runs recorded inputs and compares the outputs: bit for bit with the
-// ONNX Runtime and CPU features of the recording, else within 1e-5; then prints how long a step took.
+// ONNX Runtime and CPU features of the recording, else within 1e-5; prints how long a step took.
 // vectors.bin begins with a line of ticks, whether the last one is done, bytes of input and output,
 // version and the p50, p99 and maximum of Python's tick without recv and send [us], and one of CPU
 // features as in /proc/cpuinfo.
@@ -70,7 +70,8 @@ int main(int count, char** words) {
   printf("%zu ticks: equal %s\n", ticks, exact ? "bit for bit" : "within 1e-5");
   std::sort(took.begin(), took.end());
   auto share = [&](double of) { return took[(size_t)(of * (double)(ticks - 1))]; };
-  printf("a step [us]: p50 %.1f, p99 %.1f, maximum %.1f; Python's: p50 %.1f, p99 %.1f, maximum %.1f\n",
-         share(0.5), share(0.99), share(1.0), python[0], python[1], python[2]);
+#define SPREAD "p50 %.1f, p99 %.1f, maximum %.1f"
+  printf("a step [us]: " SPREAD "; Python's: " SPREAD "\n", share(0.5), share(0.99), share(1.0),
+         python[0], python[1], python[2]);
   return 0;
 }
