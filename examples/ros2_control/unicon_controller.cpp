@@ -3,7 +3,8 @@
 // effort = ff + stiffness (target - pos) + damping (vel_target - vel) in every update.
 //
 // Interfaces: JOINT/position, JOINT/velocity, IMU/orientation.{w,x,y,z},
-// IMU/angular_velocity.{x,y,z}, IMU/linear_acceleration.{x,y,z}; commands JOINT/effort. It subscribes to ~/cmd_vel.
+// IMU/angular_velocity.{x,y,z}, IMU/linear_acceleration.{x,y,z}; commands JOINT/effort.
+// It subscribes to ~/cmd_vel.
 #include "controller.h"
 
 #include <array>
