@@ -52,7 +52,14 @@ safety:
   - tilt_stop
   - stale_stop: {timeout: 1.0}
 """
-WORKFLOWS = {"go2_walk": 1000, "g1_walk": 1000, "mixed": 400, "h1_stand": 100, "unsafe": 600}
+WORKFLOWS = {
+    "go2_walk": 1000,
+    "g1_walk": 1000,
+    "go2_teleop": 500,
+    "mixed": 400,
+    "h1_stand": 100,
+    "unsafe": 600,
+}
 
 
 def exported(folder: Path, workflow: str, *words: str) -> int:
@@ -72,7 +79,7 @@ def mixed(folder: Path) -> str:
     ("words", "said"),
     [
         (["go2_stand"], "go2_stand cannot do without Python (sway: it has no twin); leave these"),
-        (["go2_teleop"], r"\(switch: it has no twin\)"),
+        (["go2_teleop", "--set", "flow.chain.1.switch.on=tick % 2"], r"\(switch: it has no twin\)"),
         (["go2_stand", "--set", "platform=unitree"], "use --set platform=mujoco"),
         (["go2_stand", "--set", "num_robots=2"], "leave out num_robots"),
     ],
@@ -226,6 +233,9 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
             name = mixed(folder)
         if workflow == "unsafe":  # a command that is not finite is none nevertheless
             name, words = "go2_walk", ["--set", "safety=none"]
+        if workflow == "go2_teleop":  # two switches with blends
+            schedule = "[[0, 0, 0, 0], [3, 0.5, 0, 0], [6, 0, 0, 0]]"
+            words = ["--set", f"commands=[{{velocity_command: {{schedule: {schedule}}}}}]"]
         ticks, out = WORKFLOWS[workflow], folder / "out"
         assert exported(out, name, "--ticks", str(ticks), *words) == 0
         assert main(["states", "--header", str(out / "states.h"), name, *words]) == 0

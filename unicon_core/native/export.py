@@ -13,6 +13,7 @@ import os
 import shutil
 from collections.abc import Callable, Iterator
 from importlib import import_module
+from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter_ns
@@ -26,7 +27,7 @@ from unicon_base.generated import parse
 from unicon_core.flow.block import Stage
 from unicon_core.flow.compiled import Lines, Scope, indent
 from unicon_core.flow.compiler import compile_graph
-from unicon_core.flow.nodes import Node, blocks_of
+from unicon_core.flow.nodes import blocks_of
 from unicon_core.native import network
 from unicon_core.native.arena import Arena
 from unicon_core.native.operands import PRELUDE
@@ -74,7 +75,7 @@ def export(document: WorkflowDocument, folder: Path, ticks: int) -> None:
                 model, *weights = piece.files
                 shutil.copyfile(model, models / "model.onnx")
                 for each in weights:  # the model finds them by their names
-                    shutil.copyfile(each, models / each.name)
+                    shutil.copy(each, models)
             os.rename(part, folder)
 
 
@@ -121,9 +122,8 @@ def _project(program: Program, ticks: int) -> tuple[dict[str, bytes], list[Piece
         "@STRUCTS@": "\n".join(_struct(name, each) for name, each in structs.items()),
     }.items():
         files["controller.h"] = files["controller.h"].replace(word, value)
-    settings = [f"static const double DAMPING_STEP = {program.period / BLEND!r};"]
     damping = np.array(robot.joint_damping, np.float32)
-    files["controller.cpp"] = graph.project(states, first.buffer, damping, settings)
+    files["controller.cpp"] = graph.project(states, first.buffer, damping)
     written = {name: text.encode() for name, text in files.items()}
 
     def recorder(layout: Layout, rows: list[bytes]) -> Callable[[], None]:
@@ -153,8 +153,14 @@ def _project(program: Program, ticks: int) -> tuple[dict[str, bytes], list[Piece
         return give()
 
     recv.tick, send.tick = begin, end
+    loop, done = compile_graph(root), False
     try:
-        done = _ran(root, states, ticks, took)
+        while len(took) < ticks and not done:
+            done = loop.step()
+            took[-1] -= perf_counter_ns()
+            done = loop.deferred() or done
+            took[-1] += perf_counter_ns()
+            states["tick"][...] += 1
     except Fault as fault:
         raise WorkflowError(
             f"{program.name}: the recorded run ends with a fault in tick {len(inputs)}: {fault}; "
@@ -166,23 +172,6 @@ def _project(program: Program, ticks: int) -> tuple[dict[str, bytes], list[Piece
     head = f"{' '.join(map(str, words))}\n{_cpu_features()}\n"
     written["vectors.bin"] = head.encode() + b"".join(inputs + outputs)
     return written, graph.networks
-
-
-def _ran(root: Node, states: States, ticks: int, took: list[int]) -> bool:
-    """Run a tree in Python, for so many ticks at most; return whether the last one was done.
-
-    The time of what follows `send` is added to what each tick took, [ns].
-    """
-    graph, done = compile_graph(root), False
-    for _ in range(ticks):
-        done = graph.step()
-        took[-1] -= perf_counter_ns()
-        done = graph.deferred() or done
-        took[-1] += perf_counter_ns()
-        states["tick"][...] += 1
-        if done:
-            break
-    return done
 
 
 def _struct(name: str, layout: Layout) -> str:
@@ -227,7 +216,7 @@ class Controller(Stretches):
         every = self._outlined | functions
         self._inside = {*every}
         steps = {name: parse("\n".join(every[name])).body for name in every if STEPS.match(name)}
-        for piece in (piece for pieces in self._pieces.values() for piece in pieces):
+        for piece in chain.from_iterable(self._pieces.values()):
             if piece.text is None or "PYTHON" in piece.text:
                 self.python[piece.name] = piece.why or "C++ does a part of it only"
         if not self.python and not all(
@@ -244,23 +233,41 @@ class Controller(Stretches):
             self._locals.clear()
             lines = [line for statement in body for line in self.cpp(statement)]
             held = [f"int64_t {each} = 0;" for each in ["c", *sorted(self._locals)]]
-            self.functions += [f"static int64_t {name}() {{", *indent([*held, "(void)c;", *lines])]
+            held += ["double w = 0.0;", "(void)c, (void)w;"]
+            self.functions += [f"static int64_t {name}() {{", *indent([*held, *lines])]
             self.functions.append("}")
         return functions
 
     # -- statements ------------------------------------------------------------------------------
 
     def is_native(self, statement: ast.stmt) -> bool:
-        return isinstance(statement, ast.Return) or super().is_native(statement)
+        match statement:
+            case ast.Return():
+                return True
+            case ast.Expr(value=ast.Call(func=ast.Name(id=name))) if _blend(name):
+                return True
+            case ast.Assign(value=ast.Call(args=[ast.Call(func=ast.Name(id=asked))])):
+                return self._inline.get(asked) == [f"{asked}()"]  # a twin answers with 0 or 1
+        return super().is_native(statement)
 
     def callable(self, name: str) -> bool:
         return super().callable(name) or name.startswith("part")
 
     def cpp(self, statement: ast.stmt) -> Iterator[str]:
-        if isinstance(statement, ast.Return) and statement.value is not None:
-            yield f"return {self.expression(statement.value)};"
-        else:
-            yield from super().cpp(statement)
+        match statement:
+            case ast.Return(value=ast.expr() as value):
+                yield f"return {self.expression(value)};"
+            case ast.Expr(value=ast.Call(func=ast.Name(id=name), args=args)) if _blend(name):
+                for each in args:  # the weight, of integers
+                    left, right = map(self.expression, (each.left, each.right))  # type: ignore[attr-defined]
+                    yield f"w = (double){left} / {right};"
+                blender = self.scope.names[name].__self__
+                for k in range(len(COMMAND_STATES)):
+                    yield self.table.expand(_blend(name).replace("K", str(k)), blender)
+            case ast.Assign(value=ast.Call(args=[ast.Call() as asked])):
+                yield from super().cpp(ast.Assign(statement.targets, asked))
+            case _:
+                yield from super().cpp(statement)
 
     def place(self, name: str) -> str:
         if name in self.scope.state:
@@ -278,14 +285,13 @@ class Controller(Stretches):
 
     # -- the project -----------------------------------------------------------------------------
 
-    def project(self, states: States, sent: Any, damping: Any, settings: Lines) -> str:
+    def project(self, states: States, sent: Any, damping: Any) -> str:
         """Return controller.cpp; the arrays hold what the first tick begins with.
 
         Args:
             states: of the program.
             sent: what counts as sent before the first tick, as bytes of an output.
             damping: of the robot, NaN where it is not known, float32, shape (n,).
-            settings: further lines, of the runtime.
         """
         table = self.table
         counters = np.array([*(self.scope.state[name] for name in self.places), 0], np.int64)
@@ -323,11 +329,9 @@ class Controller(Stretches):
                     for name, reset in self._resets.items()
                 ),
                 *self.functions,
-                *settings,
                 f"enum {{ {', '.join(f'{n} = {i}' for n, i in network.PLACES.items())},",
                 f"VERSION = {network.VERSION}, SEVERE = {network.SEVERE} }};",
                 f"static const int BLOCKS = {len(names)}, SEND = {names.index('send') + 1};",
-                f"static const int JOINTS = {damping.size};",
                 f'static const char SPINNING[] = "{network.SPINNING}";',
                 "static const int OPTIONS[][2] = {",
                 *(f"{{{name}, {value}}}," for name, value in network.OPTIONS.items()),
@@ -347,6 +351,20 @@ class Controller(Stretches):
                 "",
             ]
         )
+
+
+_BLENDS = {
+    "capture": "each(#_live.K) $_held.K[i] = $_own.K[i] = $_live.K[i];",
+    "resume": "each(#_live.K) $_live.K[i] = $_own.K[i];",
+    "mix": "each(#_live.K) { $_own.K[i] = $_live.K[i]; $_live.K[i] = "
+    "$_live.K[i] * (float)w + $_held.K[i] * (float)(1.0 - w); }",
+}
+"""The methods of a `Blender` for its array number K, with the weight `w`."""
+
+
+def _blend(name: str) -> str:
+    """Return what a function of a blender does in C++, "" for others."""
+    return _BLENDS.get(name.rstrip("0123456789"), "")
 
 
 def _alone(text: str | None, number: int) -> str:

@@ -1,6 +1,6 @@
 /* The controller of @NAME@, written by `unicon export`: C11, C++11; one in a process. Call
  * unicon_step every UNICON_PERIOD s and send what it gives. A result > 0 is a fault, and then each
- * output damps (stiffness falls to zero within @BLEND@ s): go on for 0.5 s, then end.
+ * output damps (stiffness falls to zero within UNICON_FADE s): go on for 0.5 s, then end.
  * UNICON_TICK_INPUT(DO) is DO(field) for each field of the input; the others likewise. */
 #ifndef UNICON_CONTROLLER_H
 #define UNICON_CONTROLLER_H
@@ -9,6 +9,7 @@
 #include <stdint.h>
 
 #define UNICON_PERIOD @PERIOD@
+#define UNICON_FADE @BLEND@
 #define UNICON_JOINT_NAMES {@JOINTS@}
 
 #ifndef UNICON_PLACE

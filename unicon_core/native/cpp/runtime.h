@@ -74,6 +74,7 @@ static inline void network(int64_t* session, const std::string& path, const std:
 
 // -- ticks ---------------------------------------------------------------------------------------
 
+static const int JOINTS = sizeof(unicon_tick_output::joint_damping) / sizeof(float);
 static bool opened = false;
 static void open_all(const char* library, const std::string& folder);
 
@@ -90,7 +91,7 @@ static bool sound(const unicon_tick_output& command) {
 // As the damping command of unicon: targets stay, stiffness falls, damping is the robot's.
 static void damp(unicon_tick_output* output) {
   const float* measured = unicon_states()->joint_pos;
-  arena.share = larger(arena.share - DAMPING_STEP, 0.0);
+  arena.share = larger(arena.share - UNICON_PERIOD / UNICON_FADE, 0.0);
   *output = *sent;
   each(JOINTS) {
     if (!arena.any && finite(measured[i])) sent->joint_pos_target[i] = measured[i];
