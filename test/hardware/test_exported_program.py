@@ -21,6 +21,7 @@ from emulated_runs import ROOM, EmulatedUnitree
 from peer import Peer
 
 from unicon_core.platforms.kit.damping import BLEND
+from unicon_core.states.backends.shm import remove_dead
 from unicon_ros.cli.main import main
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_ros[hw-unitree]'")
@@ -131,6 +132,8 @@ def test_it_walks_and_damps_after_a_kill(
         driven.wait(10)
         run.kill()
         run.wait(10)
+        for each in (name, f"{name}-commands"):
+            assert remove_dead(each)  # the states stayed
     moved = robot.moved()
     print(f"{victims}: moved {moved:.2f} m")
     assert moved >= LEAST
