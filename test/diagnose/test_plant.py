@@ -177,6 +177,7 @@ def test_what_a_healthy_robot_has_otherwise_is_no_cause(tmp_path: Path) -> None:
         limbs = replays.plant.limbs
         reference = Search(healthy, places, limbs, replays, print)
         assert reference.go().change["strength", -1] == pytest.approx(-0.1, abs=0.05)
+        reference.rest()
 
     def found(it: Motion) -> Found:
         with Replays(GO2, Scene(), it, 1) as replays:
