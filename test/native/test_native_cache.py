@@ -248,3 +248,30 @@ def test_fault_in_a_stretch_is_the_blocks_own() -> None:
             graph.step()
     states["g"][...] = [0.0, 0.0, -1.0]
     assert graph.step() is False
+
+
+def test_an_interrupt_in_a_stretch_goes_on() -> None:
+    """A handler that raises where native code calls a block: ctypes would only print that."""
+
+    def interrupt(*_: object) -> None:
+        raise InterruptedError
+
+    states = States({"x": StateSpec((3_000_000,)), "y": StateSpec((3_000_000,))})
+    copy: Any = LinearMap(states["x"], states["y"], None, 2.0)
+    gravity = States({"g": StateSpec((3,))})["g"]
+    gravity[...] = np.nan
+    root = Zip(as_block(copy), as_block(TiltStop(gravity)))
+    graph = NativeTick(states, pytest.fail).compile(root)
+    before = signal.signal(signal.SIGALRM, interrupt)
+    found = []
+    try:
+        for _ in range(10):
+            try:
+                signal.setitimer(signal.ITIMER_REAL, 2e-4)  # the copy takes longer
+                graph.step()
+            except (InterruptedError, Fault) as error:
+                found.append(type(error))
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+    assert found == [InterruptedError] * 10

@@ -95,14 +95,21 @@ extern const char __start_unicon_data[], __stop_unicon_data[];
 
 DATA static int64_t* v = 0;
 DATA static int64_t* T = 0;
-DATA static int64_t (*call)(int64_t) = 0;
-// For functions of Python without arguments: they return one of two objects, or raise.
-DATA static void *yes = 0, *no = 0, **error = 0;
-DATA static void (*counted)(void*) = 0, (*raised)(void*, void*) = 0;
+// Functions of Python without arguments, which may raise: what they return counts as true or not.
+DATA static void **calls = 0, *yes = 0, *no = 0, *(*invoke)(void*) = 0;
+DATA static int (*truth)(void*) = 0;
+DATA static void (*counted)(void*) = 0, (*dropped)(void*) = 0;
+static int64_t call(int64_t n) {
+  void* value = invoke(calls[n]);
+  if (!value) return -1;
+  int holds = truth(value);
+  dropped(value);
+  return holds;
+}
 #define FUNCTION(n) \\
   extern "C" CODE void* python_##n(void*, void*) { \\
     int result = n(); \\
-    if (result < 0) { raised(error[0], error[1]); return 0; } \\
+    if (result < 0) return 0; \\
     counted(result ? yes : no); \\
     return result ? yes : no; \\
   }

@@ -3,8 +3,8 @@
 The compiler's functions are straight-line Python (`unicon show --source`). What calls blocks with
 C++ twins alone, with the branches and counters around them, becomes a function of one library; the
 Python function calls it in their place, and all other blocks as before. Counters that a stretch
-touches lie in an array that both see. A twin that meets what it leaves to Python calls back by one
-pointer: a fault is raised by the block's own code, on the same memory.
+touches lie in an array that both see. A twin that meets what it leaves to Python calls the block's
+own code, on the same memory: what that raises goes on through the stretch.
 
     native = NativeTick(program.states, warn)
     graph = native.compile(root, trace=True)
@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base.arrays import Int64
 from unicon_core.flow.compiled import CompiledGraph, Lines, indent
 from unicon_core.flow.compiler import compile_graph
 from unicon_core.flow.nodes import Node
@@ -34,9 +33,9 @@ from unicon_core.states import States
 
 _EXTREMES = np.maximum, np.minimum
 _OWN = (
-    ("v", "int64_t*"), ("T", "int64_t*"), ("error", "void**"), ("call", "int64_t (*)(int64_t)"),
-    ("yes", "void*"), ("no", "void*"), ("counted", "void (*)(void*)"),
-    ("raised", "void (*)(void*, void*)"),
+    ("v", "int64_t*"), ("T", "int64_t*"), ("calls", "void**"), ("yes", "void*"), ("no", "void*"),
+    ("invoke", "void* (*)(void*)"), ("truth", "int (*)(void*)"), ("counted", "void (*)(void*)"),
+    ("dropped", "void (*)(void*)"),
 )  # fmt: skip
 """What a library gets besides the arrays of its blocks."""
 
@@ -120,8 +119,6 @@ class NativeGraph(Stretches):
 
     opens: bool = True
     source: str = ""
-    _error: Int64 = field(default_factory=lambda: np.zeros(2, np.int64))
-    _raised: BaseException | None = None
     _keep: list[object] = field(default_factory=list)
 
     def finish(self, every: dict[str, Lines], functions: dict[str, Lines]) -> dict[str, Lines]:
@@ -190,15 +187,13 @@ class NativeGraph(Stretches):
             NativeError: it cannot be had, or computes otherwise than NumPy here.
         """
         library = load(self.source)
-        back = ctypes.PYFUNCTYPE(ctypes.c_int64, ctypes.c_int64)(self._called)
-        arrays = [*self.table.arrays, self._values, self.stamps, self._error]
+        twins = np.array([*map(id, self.calls)], np.int64)
+        arrays = [*self.table.arrays, self._values, self.stamps, twins]
         addresses = [array.__array_interface__["data"][0] for array in arrays]
         python = ctypes.pythonapi
-        called, counted, raised = (
-            ctypes.cast(each, ctypes.c_void_p).value
-            for each in (back, python.Py_IncRef, python.PyErr_SetObject)
-        )
-        addresses += [called, id(True), id(False), counted, raised]
+        used = "PyObject_CallNoArgs", "PyObject_IsTrue", "Py_IncRef", "Py_DecRef"
+        functions = (ctypes.cast(python[name], ctypes.c_void_p).value for name in used)
+        addresses += [id(True), id(False), *functions]
         library.unicon_bind((ctypes.c_void_p * len(addresses))(*addresses))
         _compare(library)
         # Functions of the interpreter's own kind, which hold this object: a call takes 30 ns,
@@ -211,7 +206,7 @@ class NativeGraph(Stretches):
             method = _Method(name.encode(), address, NO_ARGUMENTS, None)
             _METHODS.append(method)
             made[name] = make(ctypes.addressof(method), self, None)
-        self._keep += [library, back, arrays]
+        self._keep += [library, arrays]
         return made
 
     def _replace(self, piece: Piece, network: Callable[[], object]) -> None:
@@ -223,15 +218,6 @@ class NativeGraph(Stretches):
         if not compare(piece.call, network, *piece.arrays):
             raise NativeError(f"{piece.name} gives other bits by ONNX Runtime's C interface")
         piece.owner.infer = network
-
-    def _called(self, number: int) -> int:
-        """Run a block's Python twin for the library, which raises what this raises."""
-        try:
-            return 1 if self.calls[number]() else 0
-        except BaseException as error:
-            self._raised = error
-            self._error[:] = id(type(error)), id(error)
-            return -1
 
 
 def _compare(library: ctypes.PyDLL) -> None:
