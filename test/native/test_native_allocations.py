@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -47,18 +48,18 @@ def count(library: str, folder: Path, ticks: int, allocates: bool) -> int:
     from unicon_core.blocks.safety.stops import TiltStop
     from unicon_core.flow import Zip, as_block
     from unicon_core.flow.block import LinearMap
-    from unicon_core.native import pieces
+    from unicon_core.native import network, pieces
     from unicon_core.native.tick import NativeTick
 
     counter = ctypes.CDLL(library)
-    opens = pieces.open_session
+    opens = network.open_session
 
-    def opened(*given: object) -> list[int]:
-        run, *others = opens(*given)  # type: ignore[arg-type]
+    def opened(*given: Any) -> list[int]:
+        run, *others = opens(*given)
         counter.wrap(ctypes.c_void_p(run))
         return [ctypes.cast(counter.run, ctypes.c_void_p).value or 0, *others]
 
-    pieces.open_session = opened
+    vars(pieces)["open_session"] = opened
     world = World(folder, "history")
     gravity = world.states["projected_gravity"]
     gravity[...] = (0.0, 0.0, -1.0)

@@ -114,7 +114,7 @@ def test_a_full_cache(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_slow_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CXX", script(tmp_path / "slow", '[ "$1" = --version ] || exec sleep 9'))
+    monkeypatch.setenv("CXX", script(tmp_path / "slow", '[ "$4" = -dM ] || exec sleep 9'))
     monkeypatch.setattr(build, "PATIENCE", 0.2)
     works(warning="took more than 0.2 s")
 
@@ -169,7 +169,7 @@ def test_a_library_that_cannot_be_mended(cache: Path) -> None:
 
 def test_a_library_that_computes_otherwise(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     other = "s/a != a ? a : a > b ? a : b/a > b ? a : b/"
-    wrong = f'[ "$1" = --version ] && exec c++ "$@"; sed "{other}" | c++ "$@"'
+    wrong = f'[ "$4" = -dM ] && exec c++ "$@"; sed "{other}" | c++ "$@"'
     monkeypatch.setenv("CXX", script(tmp_path / "wrong", wrong))
     works(warning="differ from C++ on this machine")
 
@@ -182,6 +182,16 @@ def test_flags_of_the_user_leave_numbers_as_they_are(
     works()
     small = np.full(4, 1e-45, np.float32)
     assert (small * np.float32(1.0) != 0.0).all()  # denormals are not flushed to zero
+
+
+def test_a_library_of_other_cpu_features_is_compiled_again(
+    cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CXX", script(tmp_path / "native", 'exec c++ $FEATURES "$@"'))
+    for features in ("", "-D__AVX9__"):  # as -march=native has it on two machines of one home
+        monkeypatch.setenv("FEATURES", features)
+        works()
+    assert len([*cache.iterdir()]) == 2
 
 
 def test_a_library_that_changes_under_the_run(cache: Path) -> None:
@@ -223,7 +233,7 @@ def test_two_builds_at_once(cache: Path) -> None:
 
 def test_a_build_that_is_killed(cache: Path, tmp_path: Path) -> None:
     begun = tmp_path / "begun"
-    text = f'[ "$1" = --version ] && exec c++ "$@"; cat > /dev/null; : > {begun}; exec sleep 60'
+    text = f'[ "$4" = -dM ] && exec c++ "$@"; cat > /dev/null; : > {begun}; exec sleep 60'
     with child(CXX=script(tmp_path / "killed", text)) as killed:
         while not begun.exists():
             assert killed.poll() is None

@@ -12,6 +12,7 @@ import ctypes
 import hashlib
 import os
 import platform
+import re
 import shlex
 import shutil
 import subprocess
@@ -24,6 +25,7 @@ from unicon_base.errors import UniconError, one_line
 from unicon_base.resources import native_cache
 
 FLAGS = ("-O2", "-std=c++17", "-fno-fast-math", "-ffp-contract=off", "-shared", "-fPIC", "-pipe")
+LANGUAGE = ("-x", "c++", "-")
 COMPILERS = ("c++", "g++", "clang++")
 PATIENCE = 120.0
 """Longest time that a compiler may take, in [s]; a G1's tick takes 2."""
@@ -38,7 +40,7 @@ class NativeError(UniconError):
 
 
 def compiler() -> tuple[list[str], str]:
-    """Return the compiler's command and what it says of itself.
+    """Return the compiler's command, and its macros: they tell its version and the CPU features.
 
     Raises:
         NativeError: there is none, or it does not run.
@@ -53,7 +55,7 @@ def compiler() -> tuple[list[str], str]:
             else f"none of {', '.join(COMPILERS)} is installed"
         )
         raise NativeError(f"no C++ compiler: {what}; apt install g++, or set CXX")
-    return command, _output([*command, "--version"])
+    return command, _output([*command, *LANGUAGE, "-dM", "-E"])
 
 
 def load(source: str) -> ctypes.PyDLL:
@@ -115,10 +117,8 @@ def _output(command: list[str], text: str = "") -> str:
             f"{command[0]} does not run: {error.strerror}; set CXX to another"
         ) from error
     if done.returncode:
-        lines = [line for line in done.stderr.splitlines() if line.strip()]
-        said = next(
-            (line for line in lines if "error" in line), lines[0] if lines else "no message"
-        )
+        lines = [*filter(str.strip, done.stderr.splitlines()), "no message"]
+        said = next((line for line in lines if re.search("error|failed", line)), lines[0])
         raise NativeError(
             f"{command[0]} fails with status {done.returncode}: {said.strip()[:200]}; set CXX to "
             "another compiler"
@@ -133,7 +133,7 @@ def _compile(command: list[str], source: str, key: str, path: Path) -> None:
     )
     part = path.with_name(f".{key}.{os.getpid()}.{time.monotonic_ns()}.part")
     try:
-        _output([*command, *FLAGS, "-x", "c++", "-", "-o", str(part), "-lm"], source + symbol)
+        _output([*command, *FLAGS, *LANGUAGE, "-o", str(part), "-lm"], source + symbol)
         content = part.read_bytes()
         with part.open("ab") as stream:
             stream.write(MARK + hashlib.sha256(content).hexdigest().encode())
