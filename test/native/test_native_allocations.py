@@ -54,10 +54,11 @@ def count(library: str, folder: Path, ticks: int, allocates: bool) -> int:
     counter = ctypes.CDLL(library)
     opens = network.open_session
 
-    def opened(*given: Any) -> list[int]:
-        run, *others = opens(*given)
-        counter.wrap(ctypes.c_void_p(run))
-        return [ctypes.cast(counter.run, ctypes.c_void_p).value or 0, *others]
+    def opened(*given: Any) -> Any:
+        session = opens(*given)
+        counter.wrap(ctypes.c_void_p(int(session[0])))
+        session[0] = ctypes.cast(counter.run, ctypes.c_void_p).value or 0
+        return session
 
     vars(pieces)["open_session"] = opened
     world = World(folder, "history")

@@ -19,7 +19,7 @@ import pytest
 
 from unicon_base.errors import Fault
 from unicon_core.blocks.safety.stops import TiltStop
-from unicon_core.flow import CompiledGraph, Zip, as_block
+from unicon_core.flow import Block, CompiledGraph, When, Zip, as_block
 from unicon_core.flow.block import LinearMap
 from unicon_core.native import build
 from unicon_core.native.tick import NativeTick
@@ -243,6 +243,18 @@ def test_a_build_that_is_killed(cache: Path, tmp_path: Path) -> None:
         os.killpg(killed.pid, signal.SIGKILL)
     works(7.0)
     assert all(path.suffix == ".so" for path in cache.iterdir())
+
+
+def test_inline_code_over_other_than_arrays_stays_in_python() -> None:
+    states = States({"y": StateSpec((3,))})
+    copy: Any = LinearMap(np.ones(3, np.float32), states["y"])
+    scales = memoryview(np.zeros(1).data)
+    asked = Block("asked", lambda: scales[0] > 0, inline="m[0] > 0", inline_names={"m": scales})
+    graph = NativeTick(states, pytest.fail).compile(When(asked, as_block(copy)))
+    for value in (0.0, 1.0):
+        scales[0] = value
+        graph.step()
+        assert (states["y"] == value).all()
 
 
 def test_fault_in_a_stretch_is_the_blocks_own() -> None:

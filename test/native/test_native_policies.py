@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import os
 import shutil
 import sys
 from pathlib import Path
@@ -141,3 +143,30 @@ def test_a_tick_allocates_nothing_that_grows(tmp_path: Path) -> None:
     for _ in range(2000):
         step()
     assert sys.getallocatedblocks() - before < 10
+
+
+def test_a_graph_that_goes_leaves_no_library_and_no_session(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left = dict.fromkeys(network.RELEASES, 0)
+    makes = network._made
+
+    def made(stack: Any, name: str, *arguments: Any) -> Any:
+        def gone() -> None:
+            left[name] -= 1
+
+        left[name] += 1
+        stack.callback(gone)
+        return makes(stack, name, *arguments)
+
+    monkeypatch.setattr(network, "_made", made)
+    files = []
+    for _ in range(3):
+        world = World(tmp_path / "a")
+        NativeTick(world.states, pytest.fail).compile(world.root).step()
+        assert left["CreateSession"] == 1
+        del world
+        gc.collect()
+        files.append(len(os.listdir("/proc/self/fd")))
+    assert files[0] == files[-1]
+    assert not any(count for name, count in left.items() if name != "CreateEnv")

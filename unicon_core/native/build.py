@@ -18,6 +18,7 @@ import shutil
 import subprocess
 import sys
 import time
+from _ctypes import dlclose
 from contextlib import suppress
 from pathlib import Path
 
@@ -179,6 +180,12 @@ def _opened_library(content: bytes, key: str) -> ctypes.PyDLL:
     if found != key.encode():
         raise ValueError("it is of another source")
     return library
+
+
+def unload(library: ctypes.PyDLL) -> None:
+    """Close a library that nothing calls any more."""
+    dlclose(library._handle)
+    os.close(int(Path(library._name).name))
 
 
 def _sweep(folder: Path) -> None:

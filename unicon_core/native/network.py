@@ -1,20 +1,23 @@
 """ONNX networks by the C interface of ONNX Runtime, from the shared library in its wheel.
 
 The session is a second one, with the settings of `networks/onnx.py`, bound to the same arrays. It
-takes the place of Python's after both have given the same bits for random inputs.
+takes the place of Python's after both have given the same bits for random inputs. It goes with the
+array of its addresses.
 """
 
 from __future__ import annotations
 
 import ctypes
+import weakref
 from collections.abc import Mapping
+from contextlib import ExitStack
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from unicon_base.arrays import Array
+from unicon_base.arrays import Array, Int64
 from unicon_core.native.operands import NotNative
 
 Arrays: TypeAlias = Mapping[str, Array]
@@ -28,6 +31,11 @@ PLACES = {
     "RunWithBinding": 133, "CreateIoBinding": 134, "BindInput": 136, "BindOutput": 137,
 }  # fmt: skip
 """Functions that are used, by their place in the table of the interface (OrtApi)."""
+RELEASES = {
+    "CreateEnv": 92, "CreateCpuMemoryInfo": 94, "CreateSession": 95, "CreateIoBinding": 135,
+    "CreateTensorWithDataAsOrtValue": 96, "CreateSessionOptions": 100,
+}  # fmt: skip
+"""The place of what releases an object, by the function that gives it."""
 TYPES = {"float32": 1, "int32": 6, "int64": 7, "bool": 9, "float64": 11}
 SEVERE = 3
 """Log level of errors."""
@@ -67,20 +75,23 @@ def _call(name: str, *arguments: Any) -> None:
         raise NotNative(f"a network for which ONNX Runtime refuses {name}")
 
 
-def _made(name: str, *arguments: Any) -> ctypes.c_void_p:
-    """Call a function that gives an object, which lives as long as the process."""
+def _made(made: ExitStack, name: str, *arguments: Any) -> ctypes.c_void_p:
+    """Call a function that gives an object, which the stack releases."""
     out = ctypes.c_void_p()
     _call(name, *arguments, ctypes.byref(out))
+    made.callback(ctypes.CFUNCTYPE(None, ctypes.c_void_p)(_table()[RELEASES[name]]), out)
     return out
 
 
 @lru_cache(maxsize=1)
 def _environment() -> ctypes.c_void_p:
-    return _made("CreateEnv", SEVERE, b"unicon")
+    return _made(ExitStack(), "CreateEnv", SEVERE, b"unicon")
 
 
-def open_session(path: Path, inputs: Arrays, outputs: Arrays) -> list[int]:
-    """Return the addresses of what runs a network on some arrays: function, session and binding.
+def open_session(path: Path, inputs: Arrays, outputs: Arrays) -> Int64:
+    """Return the addresses of what runs a network on some arrays, shape (3,).
+
+    They are those of the function, the session and the binding, which live as long as this array.
 
     Args:
         path: of the model; it runs in one thread.
@@ -90,26 +101,29 @@ def open_session(path: Path, inputs: Arrays, outputs: Arrays) -> list[int]:
     Raises:
         NotNative: it cannot be had so.
     """
-    options = _made("CreateSessionOptions")
-    for name, setting in OPTIONS.items():
-        _call(name, options, setting)
-    _call("AddSessionConfigEntry", options, SPINNING.encode(), b"0")
-    session = _made("CreateSession", _environment(), str(path).encode(), options)
-    binding = _made("CreateIoBinding", session)
-    memory = _made("CreateCpuMemoryInfo", 0, 0)
-    for bind, arrays in (("BindInput", inputs), ("BindOutput", outputs)):
-        for name, array in arrays.items():
-            if array.dtype.name not in TYPES:
-                raise NotNative(f"a network with {array.dtype}")
-            shape = (ctypes.c_int64 * array.ndim)(*array.shape)
-            value = _made(
-                "CreateTensorWithDataAsOrtValue", memory, ctypes.c_void_p(array.ctypes.data),
-                ctypes.c_size_t(array.nbytes), shape, ctypes.c_size_t(array.ndim),
-                TYPES[array.dtype.name],
-            )  # fmt: skip
-            _call(bind, binding, name.encode(), value)
-    run = _table()[PLACES["RunWithBinding"]]
-    return [run, session.value or 0, binding.value or 0]
+    with ExitStack() as made:
+        options = _made(made, "CreateSessionOptions")
+        for name, setting in OPTIONS.items():
+            _call(name, options, setting)
+        _call("AddSessionConfigEntry", options, SPINNING.encode(), b"0")
+        session = _made(made, "CreateSession", _environment(), str(path).encode(), options)
+        binding = _made(made, "CreateIoBinding", session)
+        memory = _made(made, "CreateCpuMemoryInfo", 0, 0)
+        for bind, arrays in (("BindInput", inputs), ("BindOutput", outputs)):
+            for name, array in arrays.items():
+                if array.dtype.name not in TYPES:
+                    raise NotNative(f"a network with {array.dtype}")
+                value = _made(
+                    made, "CreateTensorWithDataAsOrtValue", memory,
+                    ctypes.c_void_p(array.ctypes.data), ctypes.c_size_t(array.nbytes),
+                    (ctypes.c_int64 * array.ndim)(*array.shape), ctypes.c_size_t(array.ndim),
+                    TYPES[array.dtype.name],
+                )  # fmt: skip
+                _call(bind, binding, name.encode(), value)
+        run = _table()[PLACES["RunWithBinding"]]
+        found = np.array([run, session.value, binding.value])
+        weakref.finalize(found, made.pop_all().close).atexit = False
+    return found
 
 
 def compare(one: Any, other: Any, inputs: Arrays, outputs: Arrays) -> bool:

@@ -187,7 +187,8 @@ def _expression(node: Any, names: Mapping[str, Any], table: Table) -> tuple[str,
                 places.insert(0, ast.literal_eval(node.slice))
                 node = node.value
             view = names[node.id]
-            if view.ndim == len(places) and view.dtype.name in _KINDS:
+            known = isinstance(view, np.ndarray) and view.dtype.name in _KINDS
+            if known and view.ndim == len(places):
                 return f"{table.array(view[(*places, None)])}[0]", _KINDS[view.dtype.name]
         case ast.Constant(value=int(value) | float(value)) if abs(value) < 1 << 53:
             return literal(value), "number"
@@ -270,7 +271,7 @@ def _network(block: Block, table: Table) -> Piece:
         if not (bound and type(policy.network) is OnnxNetwork) or policy.contract.provider != "cpu":
             raise NotNative("a network of another runtime")
         *_, inputs, outputs = bound[0]
-        piece.session = np.array(open_session(policy.contract.model, inputs, outputs))
+        piece.session = open_session(policy.contract.model, inputs, outputs)
         made = table.array(piece.session)
         piece.text = (
             f"auto run = (void* (*)(void*, const void*, void*)){made}[0];\n"

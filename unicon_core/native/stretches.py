@@ -240,7 +240,8 @@ class Stretches:
         return False
 
     def free(self, tree: ast.AST) -> bool:
-        return self._python.isdisjoint(self.variables(tree))
+        names = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+        return names.isdisjoint({*self._python, *self.scope.names} - self.texts.keys())
 
     def callable(self, name: str) -> bool:
         return name in self.texts or name.startswith(("reset", "fresh"))

@@ -15,6 +15,7 @@ from __future__ import annotations
 import ctypes
 import math
 import re
+import weakref
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -24,7 +25,7 @@ import numpy as np
 from unicon_core.flow.compiled import CompiledGraph, Lines, indent
 from unicon_core.flow.compiler import compile_graph
 from unicon_core.flow.nodes import Node
-from unicon_core.native.build import NativeError, load
+from unicon_core.native.build import NativeError, load, unload
 from unicon_core.native.network import compare
 from unicon_core.native.operands import BINDING, PRELUDE
 from unicon_core.native.pieces import Piece
@@ -187,6 +188,7 @@ class NativeGraph(Stretches):
             NativeError: it cannot be had, or computes otherwise than NumPy here.
         """
         library = load(self.source)
+        weakref.finalize(self, unload, library).atexit = False
         twins = np.array([*map(id, self.calls)], np.int64)
         arrays = [*self.table.arrays, self._values, self.stamps, twins]
         addresses = [array.__array_interface__["data"][0] for array in arrays]
