@@ -39,6 +39,7 @@ def cut_off(
     part: str = "",
     inputs: Callable[[Program, np.random.Generator], Callable[[], object]] | None = None,
     amends: str = "velocity_command",
+    native: bool = False,
 ) -> Told:
     """Run a workflow with sensors that are noise, and let it be cut off in a tick.
 
@@ -50,6 +51,7 @@ def cut_off(
         part: of a divided workflow.
         inputs: makes what writes states from outside in stage `input`, such as a topic.
         amends: the state that it writes.
+        native: as `RunOptions.native`.
     """
     rng = np.random.default_rng(ticks)
     record = FaultRecord(str(folder), warn=_unwanted)
@@ -76,7 +78,7 @@ def cut_off(
 
     document = load_document(workflow, {"platform": "fake"} | dict(overrides or {}))
     program = Program(document, hooks=[outside, record.hook], part=part)
-    runner = Runner(program, RunOptions(speed="max", warn=str))
+    runner = Runner(program, RunOptions(speed="max", warn=str, native=native))
     record.attach(runner)
     report = runner.run()
     path = record.write(report)
@@ -85,10 +87,13 @@ def cut_off(
 
 
 def replay(
-    record: Record, workflow: str | Path | None = None, overrides: Mapping[str, Any] | None = None
+    record: Record,
+    workflow: str | Path | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    native: bool = False,
 ) -> list[str]:
     """Replay a record, with the workflow in it unless another is given; return what differs."""
-    verdict = verify(record, workflow_of(record, workflow, overrides or {}))
+    verdict = verify(record, workflow_of(record, workflow, overrides or {}), native)
     assert verdict.ticks == record.ended.sum()
     found = [] if verdict.first is None else [f"{k}: {v}" for k, v in verdict.first.lines(1.0)]
     return [*found, *verdict.notes]

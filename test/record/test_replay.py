@@ -50,6 +50,15 @@ def test_go2_walk(ticks: int, tmp_path: Path) -> None:
     held("go2_walk", tmp_path, ticks, overrides=safety)
 
 
+@pytest.mark.parametrize("native", [False, True])
+def test_native_and_python_ticks_replay_each_other(
+    native: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    told = cut_off("go2_walk", tmp_path, 150, native=native)
+    assert replay(told.record, native=not native) == []
+
+
 def test_without_its_memory_a_replay_differs(tmp_path: Path) -> None:
     overrides = UNSAFE | {"flow.chain.0.pose.duration": 9.0}
     record = cut_off("go2_walk", tmp_path, 200, overrides=overrides).record

@@ -21,7 +21,7 @@ PLAYS = ("start", "loop", "rate", "duration", "ros", "map", "namespace", "frame_
 def replay(arguments: argparse.Namespace) -> int:
     """Run the command; exit status 0 done or equal, 1 different, 3 fault."""
     if arguments.verify:
-        _refuse_others(arguments, ("workflow", "overrides"), "--verify")
+        _refuse_others(arguments, ("workflow", "overrides", "native"), "--verify")
         return _verify(arguments)
     if arguments.play:
         _refuse_others(arguments, (*PLAYS, "ros_args"), "--play")
@@ -91,7 +91,7 @@ def _verify(arguments: argparse.Namespace) -> int:
 
     record = open_record(arguments.bag)
     document = workflow_of(record, arguments.workflow, arguments.overrides)
-    verdict = verify(record, document)
+    verdict = verify(record, document, arguments.native)
     rows = [("workflow", f"{document.name}, recorded on {record.facts.get('platform', '?')}")]
     count = f"{verdict.differing} of {verdict.ticks} ticks differ"
     if verdict.first is not None:

@@ -43,6 +43,7 @@ class Replayed:
     Args:
         record: what was recorded.
         document: the workflow; its platform is not opened.
+        native: it ticks natively, as `RunOptions.native`.
 
     Attributes:
         program: what ticks.
@@ -60,7 +61,7 @@ class Replayed:
         UniconError: the program cannot be built, or the record is of another robot.
     """
 
-    def __init__(self, record: Record, document: WorkflowDocument) -> None:
+    def __init__(self, record: Record, document: WorkflowDocument, native: bool = False) -> None:
         self.record = record
         facts, silent = recorded_facts(record)
         self._row, self._told_of = 0, -1
@@ -92,7 +93,7 @@ class Replayed:
                     f"{1.0 / self.program.period:g} Hz; give it rate: {1.0 / period:g}, or replay "
                     "without --verify, where a tick gets the newest values"
                 )
-            runner = Runner(self.program, RunOptions(warn=_quiet))
+            runner = Runner(self.program, RunOptions(warn=_quiet, native=native))
             self._graphs = runner.graphs()
             self._memory = memory_of(self.program, self._graphs)
             self._fresh = self._memory.take()

@@ -203,7 +203,7 @@ class Verdict:
     fault: str = ""
 
 
-def verify(record: Record, document: WorkflowDocument) -> Verdict:
+def verify(record: Record, document: WorkflowDocument, native: bool = False) -> Verdict:
     """Replay a record in a program that is built anew, and compare.
 
     Each tick begins with the recorded states, so that one that differs makes none behind it differ.
@@ -211,6 +211,7 @@ def verify(record: Record, document: WorkflowDocument) -> Verdict:
     Args:
         record: what was recorded.
         document: the workflow.
+        native: replay in a native tick, as `RunOptions.native`.
 
     Raises:
         StateError: the record is of another robot, is empty, or nothing in it can be replayed.
@@ -218,7 +219,7 @@ def verify(record: Record, document: WorkflowDocument) -> Verdict:
     """
     if not record.ended.any():
         raise StateError("the record holds no tick that ended: there is nothing to compare")
-    replayed = _Compared(record, document)
+    replayed = _Compared(record, document, native)
     program = replayed.program
     try:
         notes = others(record, program)
@@ -267,11 +268,11 @@ def verify(record: Record, document: WorkflowDocument) -> Verdict:
 class _Compared(Replayed):
     """Compares all states at the end of each tick."""
 
-    def __init__(self, record: Record, document: WorkflowDocument) -> None:
+    def __init__(self, record: Record, document: WorkflowDocument, native: bool) -> None:
         self.rows: set[int] = set()
         self.commands = 0
         self.first: Difference | None = None
-        super().__init__(record, document)
+        super().__init__(record, document, native)
 
     def ended(self, row: int) -> None:
         """Compare all states."""
