@@ -245,16 +245,19 @@ def test_a_build_that_is_killed(cache: Path, tmp_path: Path) -> None:
     assert all(path.suffix == ".so" for path in cache.iterdir())
 
 
-def test_inline_code_over_other_than_arrays_stays_in_python() -> None:
+def test_inline_code_that_is_no_expression_over_arrays_stays_in_python() -> None:
     states = States({"y": StateSpec((3,))})
     copy: Any = LinearMap(np.ones(3, np.float32), states["y"])
-    scales = memoryview(np.zeros(1).data)
+    scales, seen = memoryview(np.zeros(1).data), [0]
     asked = Block("asked", lambda: scales[0] > 0, inline="m[0] > 0", inline_names={"m": scales})
-    graph = NativeTick(states, pytest.fail).compile(When(asked, as_block(copy)))
+    text = "seen[0] += 1\nif seen[0] > 9: seen[0] = 0"
+    count = Block("count", lambda: None, inline=text, inline_names={"seen": seen}, endless=True)
+    graph = NativeTick(states, pytest.fail).compile(Zip(When(asked, as_block(copy)), count))
     for value in (0.0, 1.0):
         scales[0] = value
         graph.step()
         assert (states["y"] == value).all()
+    assert seen == [2]
 
 
 def test_fault_in_a_stretch_is_the_blocks_own() -> None:

@@ -78,9 +78,7 @@ def _text(block: Block, table: Table) -> str:
     if block.parts:
         return _looked(block, table)
     if block.inline:
-        return (
-            f"DONE({_expression(parse(block.inline, 'eval').body, block.inline_names, table)[0]});"
-        )
+        return f"DONE({_expression(parse(block.inline).body, block.inline_names, table)[0]});"
     return _own_text(tick, table)
 
 
@@ -181,6 +179,8 @@ def _expression(node: Any, names: Mapping[str, Any], table: Table) -> tuple[str,
         return _expression(part, names, table)
 
     match node:
+        case [ast.Expr(value=value)]:
+            return of(value)
         case ast.Name() | ast.Subscript():
             places: list[int] = []
             while isinstance(node, ast.Subscript):
