@@ -248,7 +248,8 @@ def test_a_build_that_is_killed(cache: Path, tmp_path: Path) -> None:
 def test_inline_code_that_is_no_expression_over_arrays_stays_in_python() -> None:
     states = States({"y": StateSpec((3,))})
     copy: Any = LinearMap(np.ones(3, np.float32), states["y"])
-    scales, seen = memoryview(np.zeros(1).data), [0]
+    scales: Any = memoryview(np.zeros(1).data)
+    seen = [0]
     asked = Block("asked", lambda: scales[0] > 0, inline="m[0] > 0", inline_names={"m": scales})
     text = "seen[0] += 1\nif seen[0] > 9: seen[0] = 0"
     count = Block("count", lambda: None, inline=text, inline_names={"seen": seen}, endless=True)
@@ -258,6 +259,18 @@ def test_inline_code_that_is_no_expression_over_arrays_stays_in_python() -> None
         graph.step()
         assert (states["y"] == value).all()
     assert seen == [2]
+
+
+def test_libraries_that_were_long_unused_go(cache: Path) -> None:
+    cache.mkdir(parents=True)
+    for name, age in (("old.so", 31), ("used.so", 29)):
+        (cache / name).touch()
+        then = time.time() - 86400 * age
+        os.utime(cache / name, (then, 0))
+    works()
+    names = {path.name for path in cache.iterdir()}
+    assert "used.so" in names
+    assert "old.so" not in names
 
 
 def test_fault_in_a_stretch_is_the_blocks_own() -> None:

@@ -32,6 +32,8 @@ PATIENCE = 120.0
 """Longest time that a compiler may take, in [s]; a G1's tick takes 2."""
 STALE = 3600.0
 """Age of a temporary file whose writer has died, in [s]."""
+UNUSED = 30 * 86400.0
+"""Age of a library that goes when another one is compiled, since it was used, in [s]."""
 MARK = b"\nunicon native "
 """Precedes the hash at the end of a cached library."""
 
@@ -189,8 +191,10 @@ def unload(library: ctypes.PyDLL) -> None:
 
 
 def _sweep(folder: Path) -> None:
-    """Remove temporary files of compilers that were killed."""
-    for part in folder.glob(".*.part"):
+    """Remove temporary files of compilers that were killed, and libraries long unused."""
+    for path in folder.iterdir():
         with suppress(OSError):
-            if time.time() - part.stat().st_mtime > STALE:
-                part.unlink()
+            found = path.stat()
+            age = time.time() - max(found.st_atime, found.st_mtime)
+            if age > (STALE if path.suffix == ".part" else UNUSED):
+                path.unlink()

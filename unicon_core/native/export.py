@@ -296,7 +296,7 @@ class Controller(Stretches):
         table = self.table
         counters = np.array([*(self.scope.state[name] for name in self.places), 0], np.int64)
         used = self.used()
-        pieces = {name: piece for name, (piece, _) in self.texts.items() if name in used}
+        pieces = {name: piece for name, piece in self.texts.items() if name in used}
         names = ["unicon_open, which has not succeeded", *(p.name for p in pieces.values())]
         self.networks = [piece for piece in pieces.values() if piece.session is not None]
         sessions = {id(piece.session): f"session{i}" for i, piece in enumerate(self.networks)}

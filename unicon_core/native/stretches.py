@@ -21,9 +21,6 @@ from unicon_core.flow.compiled import Lines, Scope, indent
 from unicon_core.native.operands import NotNative, Table
 from unicon_core.native.pieces import Piece, pieces_of
 
-LEAST = 1
-"""A stretch has at least so many operations: a call costs 30 ns, one slice copy in Python 80."""
-
 STEPS = re.compile(r"(step|deferred|part)")
 _SIGNS = {
     ast.Eq: "==", ast.NotEq: "!=", ast.GtE: ">=", ast.Gt: ">", ast.LtE: "<=", ast.Lt: "<",
@@ -40,7 +37,7 @@ class Stretches:
         native: names of blocks in C++.
         python: names of the other blocks, and why Python runs them.
         cells: counters of the graph that lie in the shared array, by name.
-        texts: name of a block's piece to the piece, and to how much it does.
+        texts: name of a block's piece with a twin to the piece.
         places: counters and temporaries of native code to their place in the shared array.
         owned: those of them that Python finds there, too.
         calls: functions of Python that native code calls, by their number.
@@ -51,13 +48,12 @@ class Stretches:
     native: list[str] = field(default_factory=list)
     python: dict[str, str] = field(default_factory=dict)
     cells: dict[str, Any] = field(default_factory=dict)
-    texts: dict[str, tuple[Piece, int]] = field(default_factory=dict)
+    texts: dict[str, Piece] = field(default_factory=dict)
     places: dict[str, int] = field(default_factory=dict)
     owned: set[str] = field(default_factory=set)
     calls: list[Callable[[], object]] = field(default_factory=list)
     functions: list[str] = field(default_factory=list)
     _pieces: dict[int, list[Piece]] = field(default_factory=dict)
-    _inline: dict[str, Lines] = field(default_factory=dict)
 
     def call(self, block: Block, scope: Scope) -> str:
         """Return the lines that call a block, "" where it has no twin.
@@ -78,9 +74,7 @@ class Stretches:
             name = scope.bind("b", piece.call, piece.name)
             lines.append(f"{name}()")
             if piece.text is not None:
-                inline = scope.renamed(block.inline, block.inline_names).splitlines()
-                self.texts[name] = piece, len(inline) or LEAST
-                self._inline[name] = inline or [f"{name}()"]
+                self.texts[name] = piece
         return "\n".join(lines)
 
     # -- from Python to both ---------------------------------------------------------------------
@@ -98,7 +92,7 @@ class Stretches:
         """
         self.scope, self.stamps = scope, stamps
         self._outlined = dict(scope.functions)
-        self._inside = _names(self._outlined)
+        self._inside = {*self._outlined}
         every = self._outlined | functions
         trees = {
             name: parse("\n".join(body)).body for name, body in every.items() if STEPS.match(name)
@@ -159,19 +153,16 @@ class Stretches:
     def tested(self, test: ast.expr) -> str:
         """Return the condition of a statement of Python, which may ask a native block."""
         name = _called(test)
-        if name not in self.texts or self.texts[name][1] < LEAST:
+        if name not in self.texts:
             return ast.unparse(test)
-        number = self.function([f"return {name}();"])
-        return f"n{number}()"
+        return f"n{self.function([f'return {name}();'])}()"
 
     def stretch(self, run: list[ast.stmt]) -> Lines:
-        """Return the call of a stretch, or its statements where it has too little to do."""
-        calls = [name for statement in run for name in _calls(statement) if name in self.texts]
-        if sum(self.texts[name][1] for name in calls) < LEAST:
+        """Return the call of a stretch, or its statements where it calls no twin."""
+        if self.texts.keys().isdisjoint(name for each in run for name in _calls(each)):
             for statement in run:
                 self._touched |= self.variables(statement)
-            texts = (ast.unparse(statement).splitlines() for statement in run)
-            return [each for text in texts for each in self._inline.get(text[0][:-2], text)]
+            return [line for each in run for line in ast.unparse(each).splitlines()]
         self._given: dict[str, tuple[str, int]] = {}
         body = [line for statement in run for line in self.cpp(statement)]
         clear = [f"v[{place}] = 0;" for _, place in self._given.values()]
@@ -339,7 +330,3 @@ def _calls(tree: ast.AST) -> list[str]:
     """Return what a piece of code calls."""
     calls = [node.func for node in ast.walk(tree) if isinstance(node, ast.Call)]
     return [call.id if isinstance(call, ast.Name) else "?" for call in calls]
-
-
-def _names(functions: dict[str, Lines]) -> set[str]:
-    return {*functions, "T", "Z", "now"}

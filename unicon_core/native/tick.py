@@ -94,19 +94,10 @@ _METHODS: list[_Method] = []
 """All that were made: a function looks at its own when it goes."""
 
 
-class _Cell:
+class _Cell(ctypes.Structure):
     """A counter of a graph in the array that native code shares."""
 
-    def __init__(self, values: memoryview, place: int) -> None:
-        self._values, self._place = values, place
-
-    @property
-    def cell_contents(self) -> int:
-        return self._values[self._place]
-
-    @cell_contents.setter
-    def cell_contents(self, value: int) -> None:
-        self._values[self._place] = value
+    _fields_ = [("cell_contents", ctypes.c_int64)]
 
 
 @dataclass
@@ -126,10 +117,9 @@ class NativeGraph(Stretches):
         scope, places = self.scope, self.places
         values = np.zeros(max(len(places), 1), np.int64)
         moved = {name: f"V[{place}]" for name, place in places.items() if name in self.owned}
-        shared: memoryview = memoryview(values.data)
         for name in [name for name in scope.state if name in moved]:
             values[places[name]] = scope.state.pop(name)
-            self.cells[name] = _Cell(shared, places[name])
+            self.cells[name] = _Cell.from_buffer(values, 8 * places[name])
         word = re.compile(rf"\b({'|'.join(map(re.escape, moved)) or 'V'})\b")
         every = {
             name: [word.sub(lambda found: moved.get(found[0], found[0]), line) for line in body]
@@ -137,9 +127,9 @@ class NativeGraph(Stretches):
         }
         used = self.used()
         blocks = [
-            self.block(name, piece.text, piece.call)
-            for name, (piece, _) in self.texts.items()
-            if name in used and piece.text is not None
+            self.block(name, piece.text or "", piece.call)
+            for name, piece in self.texts.items()
+            if name in used
         ]
         table = self.table
         own = [
@@ -161,13 +151,12 @@ class NativeGraph(Stretches):
             ]
         )
         self._values = values
-        scope.names["V"] = shared
+        scope.names["V"] = values.data
         scope.functions[:] = [(name, every[name]) for name, _ in scope.functions]
         every["warm_up"] = [*every["warm_up"], "warm()"]
-        calls: dict[str, Any] = {f"n{number}": bool for number in range(len(self.functions))}
-        calls["warm"] = bool
-        networks = {n: piece for n, (piece, _) in self.texts.items() if piece.owner and n in used}
-        calls |= dict.fromkeys(networks, bool)
+        networks = {n: piece for n, piece in self.texts.items() if piece.owner and n in used}
+        stretches = [f"n{number}" for number in range(len(self.functions))]
+        calls: dict[str, Any] = dict.fromkeys([*stretches, "warm", *networks], bool)
         self.source += "".join(f"FUNCTION({name})\n" for name in networks)
         if self.opens:
             calls = self._opened(calls)
