@@ -119,7 +119,7 @@ class NativeGraph(Stretches):
         moved = {name: f"V[{place}]" for name, place in places.items() if name in self.owned}
         for name in [name for name in scope.state if name in moved]:
             values[places[name]] = scope.state.pop(name)
-            self.cells[name] = _Cell.from_buffer(values, 8 * places[name])
+            self.cells[name] = _Cell.from_buffer(values.data, 8 * places[name])
         word = re.compile(rf"\b({'|'.join(map(re.escape, moved)) or 'V'})\b")
         every = {
             name: [word.sub(lambda found: moved.get(found[0], found[0]), line) for line in body]
