@@ -122,6 +122,20 @@ def test_without_the_shared_library_python_runs_the_network(
     assert fast.ticks(graph) == slow.ticks(compile_graph(slow.root))
 
 
+def test_python_runs_a_network_in_whose_place_stands_something_else(tmp_path: Path) -> None:
+    fast, slow = World(tmp_path / "a"), World(tmp_path / "a")
+    for world in (fast, slow):
+
+        def infer(lane: Any = world.policy.lane, own: Any = world.policy.lane.infer) -> None:
+            own()
+            lane.action[0] = 0.25
+
+        world.policy.lane.infer = infer
+    graph = NativeTick(fast.states, pytest.fail).compile(fast.root)
+    assert "network()" in graph.source
+    assert fast.ticks(graph) == slow.ticks(compile_graph(slow.root))
+
+
 def test_a_network_that_computes_otherwise_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -22,7 +22,6 @@ from unicon_core.flow.block import Block, LinearMap
 from unicon_core.native.network import open_session
 from unicon_core.native.operands import NotNative, Table, literal
 from unicon_core.native.twins import TWINS
-from unicon_core.policies.networks import OnnxNetwork
 
 
 @dataclass
@@ -267,10 +266,10 @@ def _network(block: Block, table: Table) -> Piece:
     lane = policy.lane
     piece = Piece(f"{block.name}_network", lane.infer)
     with _explained(piece):
-        bound = getattr(lane.infer, "__defaults__", None)  # None: it is native in another graph
-        if not (bound and type(policy.network) is OnnxNetwork) or policy.contract.provider != "cpu":
+        own = _name(lane.infer) == "policies.networks.onnx:OnnxNetwork.bind.<locals>.run"
+        if not own or policy.contract.provider != "cpu":  # or it is native in another graph
             raise NotNative("a network of another runtime")
-        *_, inputs, outputs = bound[0]
+        *_, inputs, outputs = lane.infer.__defaults__[0]
         piece.session = open_session(policy.contract.model, inputs, outputs)
         made = table.array(piece.session)
         piece.text = (
