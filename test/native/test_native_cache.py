@@ -104,6 +104,11 @@ def test_what_is_missing_leaves_the_tick_to_python(
     works(warning=warning)
 
 
+def test_a_python_that_cannot_hold_a_file_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(os, "memfd_create")
+    works(warning="a Python with os.memfd_create")
+
+
 def test_a_full_cache(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")

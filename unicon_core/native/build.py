@@ -16,7 +16,6 @@ import re
 import shlex
 import shutil
 import subprocess
-import sys
 import time
 from _ctypes import dlclose
 from contextlib import suppress
@@ -67,8 +66,8 @@ def load(source: str) -> ctypes.PyDLL:
     Raises:
         NativeError: it cannot be compiled, kept or loaded; one line with the remedy.
     """
-    if sys.platform != "linux":
-        raise NativeError(f"it runs on Linux, and this is {sys.platform}; leave out --native")
+    if not hasattr(os, "memfd_create"):  # as of conda
+        raise NativeError("it needs Linux and a Python with os.memfd_create; leave out --native")
     command, about = compiler()
     parts = [source, about, *command, *FLAGS, platform.machine(), *platform.libc_ver()]
     key = hashlib.sha256("\0".join(parts).encode()).hexdigest()
