@@ -24,7 +24,7 @@ import numpy as np
 from unicon_base.arrays import Int64
 from unicon_base.errors import Fault, WorkflowError, cannot
 from unicon_base.generated import parse
-from unicon_core.flow.block import Stage
+from unicon_core.flow.block import Block, Stage
 from unicon_core.flow.compiled import Lines, Scope, indent
 from unicon_core.flow.compiler import compile_graph
 from unicon_core.flow.nodes import blocks_of
@@ -200,6 +200,13 @@ class Controller(Stretches):
         self.networks: list[Piece] = []
         self._workflow, self._locals = workflow, set[str]()
         self._resets: dict[str, Callable[[], object]] = {}
+        self._asked = set[str]()  # twins that answer with 0 or 1
+
+    def call(self, block: Block, scope: Scope) -> str:
+        text = super().call(block, scope)
+        if not block.inline:
+            self._asked.update(line.removesuffix("()") for line in text.splitlines())
+        return text
 
     def given_to_caller(self, block: Any) -> None:
         """Let a block do nothing here; before the graph is compiled."""
@@ -247,7 +254,7 @@ class Controller(Stretches):
             case ast.Expr(value=ast.Call(func=ast.Name(id=name))) if _blend(name):
                 return True
             case ast.Assign(value=ast.Call(args=[ast.Call(func=ast.Name(id=asked))])):
-                return self._inline.get(asked) == [f"{asked}()"]  # a twin answers with 0 or 1
+                return asked in self._asked
         return super().is_native(statement)
 
     def callable(self, name: str) -> bool:
