@@ -30,7 +30,7 @@ from contextlib import contextmanager
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -51,8 +51,6 @@ from unicon_ros.bench.rounds import Rows, take_turns
 GROUP = "bench"
 PATIENCE = 20.0  # s until the other end must be there
 
-_T = TypeVar("_T")
-
 
 def group() -> States:
     """Return the states that are carried: 512 bytes, all of which tell the value's number."""
@@ -71,11 +69,7 @@ def _shm_sender(place: Path, states: States) -> ShmWriter:
 
 
 def _zmq_sender(place: Path, states: States) -> ZmqWriter:
-    writer = ZmqWriter(f"ipc://{place}", GROUP, states.layout, states)
-    told = place.with_suffix(".told")
-    told.write_text(writer.address, "utf-8")
-    os.replace(told, place.with_suffix(".address"))
-    return writer
+    return ZmqWriter(f"ipc://{place}", GROUP, states.layout, states)
 
 
 class _Waiting:
@@ -94,24 +88,18 @@ class _Waiting:
 
 
 def _shm_receiver(place: Path, states: States) -> _Waiting:
-    return _Waiting(_when_there(lambda: ShmReader(segment_name(place), GROUP, states)))
-
-
-def _zmq_receiver(place: Path, states: States) -> _Waiting:
-    address = _when_there(place.with_suffix(".address").read_text)
-    return _Waiting(ZmqReader(address, GROUP, states.layout, states))
-
-
-def _when_there(attempt: Callable[[], _T]) -> _T:
-    """Return what the attempt returns once the other end is there."""
     end = time.monotonic() + PATIENCE
     while True:
         try:
-            return attempt()
-        except (StateError, FileNotFoundError):
+            return _Waiting(ShmReader(segment_name(place), GROUP, states))
+        except StateError:  # the writer is not there yet
             if time.monotonic() > end:
                 raise
             time.sleep(0.01)
+
+
+def _zmq_receiver(place: Path, states: States) -> _Waiting:
+    return _Waiting(ZmqReader(f"ipc://{place}", GROUP, states.layout, states))
 
 
 class _RosNode:
