@@ -52,20 +52,18 @@ def run_timing(rounds: int | None = None) -> Bench:
         "time.sleep": _sleeping,
         "unicon": lambda ticks: _ours(ticks, TIMING_RATE),
     }
-    errors, shares = Samples(), Samples()
+    late, share = "deadline error", "share of a core [%]"
+    times = Samples()
     for number in range(bench.rounds):
         for name in list(loops)[:: -1 if number % 2 else 1]:
             measured = loops[name](round(TIMING_RATE * TIMING_SECONDS))
-            errors.add(name, measured.late)
-            shares.add(name, measured.share)
-    for name in loops:
-        bench.case(f"{name}: deadline error", errors.of(name))
-        bench.case(f"{name}: share of a core [%]", shares.of(name))
-    late = errors.ratios("unicon", "time.sleep", percent=99)
-    bench.ratio("deadline_p99", float(np.median(late)), 0.05)
-    bench.facts["deadline_p99, 95 % interval"] = interval(late)
-    bench.facts["deadline_p99, of single rounds"] = f"{late.min():.3g} to {late.max():.3g}"
-    bench.ratio("pacing_cpu", float(np.median(shares.of("unicon"))) / 100.0, 0.08)
+            times.add(f"{name}: {late}", measured.late)
+            times.add(f"{name}: {share}", measured.share)
+    times.add_to(bench)
+    ratios = times.ratios(f"unicon: {late}", f"time.sleep: {late}", percent=99)
+    bench.ratio("deadline_p99", float(np.median(ratios)), 0.05)
+    bench.facts["deadline_p99, 95 % interval"] = interval(ratios)
+    bench.ratio("pacing_cpu", float(np.median(times.of(f"unicon: {share}"))) / 100.0, 0.08)
     return bench
 
 
@@ -197,7 +195,6 @@ def _ticks(bench: Bench, robot: Robot, contract: PolicyContract) -> None:
     bench.ratio("policy_tick_p99", times.ratio(OURS, USUAL, percent=99), 0.2)
     bench.ratio("native_tick_p50", times.ratio(NATIVE, ALONE), 1.3)
     bench.ratio("native_tick_p99", times.ratio(NATIVE, ALONE, percent=99), 1.4)
-    bench.facts["policy tick, of the network alone, p50"] = f"{times.ratio(OURS, ALONE):.3g}"
 
 
 def _memory(bench: Bench, robot: Robot, contract: PolicyContract, folder: Path) -> None:

@@ -48,25 +48,14 @@ from unicon_ros import compat
 from unicon_ros.bench.domains import loopback_environment
 from unicon_ros.bench.report import Bench
 
-BATCH_TICKS = 200
-PHYSICS_TICKS = 100
-
-SIZES = (1, 4, 16, 64, 256)
-PHYSICS_SIZES = (1, 4, 16, 64)
-MJX_TICKS = 20
-MJX_SIZES = (1, 16, 64)
-
-BATCH_BARS = (
-    ("batch64", "per robot", 0.35),
-    ("batch64_physics", "with physics, per robot", 0.6),
-    ("batch64_mjx", "in MJX, per robot", 0.6),
-)
+MANY = 64
+"""Robots that are compared with one."""
 
 _WORKFLOW = """\
 robot: go2
 platform: fake
 num_robots: 1
-policies: {walk: POLICY}
+policies: {walk: ./policy}
 commands:
   - velocity_command: {constant: [0.5, 0.0, 0.0]}
 flow: {policy: walk}
@@ -89,21 +78,22 @@ def run_batch(rounds: int | None = None) -> Bench:
     """
     bench = Bench("batch", rounds or 5)
     kinds = [
-        ("per robot", SIZES, BATCH_TICKS, {}),
-        ("with physics, per robot", PHYSICS_SIZES, PHYSICS_TICKS, _PHYSICS),
+        ("batch64", "per robot", 0.35, 200, {}),
+        ("batch64_physics", "with physics, per robot", 0.6, 100, _PHYSICS),
     ]
     if find_spec("mujoco.mjx") and find_spec("jax"):
-        kinds.append(("in MJX, per robot", MJX_SIZES, MJX_TICKS, _PHYSICS | {"platform": "mjx"}))
+        compiled = _PHYSICS | {"platform": "mjx"}
+        kinds.append(("batch64_mjx", "in MJX, per robot", 0.6, 20, compiled))
     else:
         bench.facts["MJX"] = "left out: pip install 'unicon_ros[sim-mjx]'"
     times = Samples()
     with tempfile.TemporaryDirectory() as folder:
         random_policy(Path(folder) / "policy", load_robot("go2"))
         path = Path(folder) / "batch.yaml"
-        path.write_text(_WORKFLOW.replace("POLICY", "./policy"), "utf-8")
+        path.write_text(_WORKFLOW, "utf-8")
         runners: dict[str, tuple[Runner, int, int]] = {}
-        for kind, sizes, ticks, changed in kinds:
-            for size in sizes:
+        for _, kind, _, ticks, changed in kinds:
+            for size in (1, MANY):
                 program = load_workflow(path, changed | {"num_robots": size})
                 runner = Runner(program, RunOptions(speed="max"))
                 runners[f"{kind}, N = {size}"] = runner, size, ticks
@@ -114,9 +104,10 @@ def run_batch(rounds: int | None = None) -> Bench:
         for runner, _, _ in runners.values():
             runner.close()
     times.add_to(
-        bench, *((name, f"{kind}, N = 64", f"{kind}, N = 1", bar) for name, kind, bar in BATCH_BARS)
+        bench,
+        *((name, f"{kind}, N = {MANY}", f"{kind}, N = 1", bar) for name, kind, bar, _, _ in kinds),
     )
-    bench.facts["threads"] = len(shares(64))
+    bench.facts["threads"] = len(shares(MANY))
     return bench
 
 

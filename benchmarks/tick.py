@@ -65,10 +65,9 @@ def run(rounds: int | None = None) -> Bench:
         }
     states, maps = _copies(COPIES)
     separate = [_copy(each) for each in maps]
-    fused = fuse(Zip(*separate), states)
     cases |= {
-        "copies: compiled, separate": _flat(Zip(*separate)),
-        "copies: compiled, fused": _flat(fused),
+        f"copies: compiled, {how}": loop(compile_graph(root).step)
+        for how, root in (("separate", Zip(*separate)), ("fused", fuse(Zip(*separate), states)))
     }
     times = Samples()
     Samples().take(cases, 1, REPEATS)  # warms up
@@ -76,22 +75,16 @@ def run(rounds: int | None = None) -> Bench:
         times.take(cases, SAMPLES, REPEATS)
     for name in cases:
         bench.case(f"{name}, one tick", times.of(name) / EVERY)
-    ratio = times.ratio
-    kinds = [f"{count} blocks, {how}" for count in BLOCKS for how in ("flat", "nested")]
-    dispatch = {kind: ratio(f"{kind}: as run", f"{kind}: closures") for kind in kinds}
-    worst = max(dispatch, key=dispatch.__getitem__)
-    bench.ratio("dispatch", dispatch[worst], 0.7)
-    for name, one, other, bar in (
-        ("native_dispatch", "native", "closures", 0.1),
-        ("native_half", "half native", "Python", 1.0),
+    dispatch = [f"{count} blocks, {how}" for count in BLOCKS for how in ("flat", "nested")]
+    copies = [f"{count} copies" for count in BLOCKS]
+    for name, kinds, one, other, bar in (
+        ("dispatch", dispatch, "as run", "closures", 0.7),
+        ("native_dispatch", copies, "native", "closures", 0.1),
+        ("native_half", copies, "half native", "Python", 1.0),
+        ("fused_copy", ["copies"], "compiled, fused", "compiled, separate", 0.15),
     ):
-        ratios = [ratio(f"{n} copies: {one}", f"{n} copies: {other}") for n in BLOCKS]
-        bench.ratio(name, max(ratios), bar)
-        for count, each in zip(BLOCKS, ratios):
-            bench.facts[f"{name}, {count} copies"] = f"{each:.3f}"
-    bench.ratio("fused_copy", ratio("copies: compiled, fused", "copies: compiled, separate"), 0.15)
-    for kind, found in dispatch.items():
-        bench.facts[f"dispatch, {kind}"] = f"{found:.3f}{' (told above)' if kind == worst else ''}"
+        worst = max(times.ratio(f"{kind}: {one}", f"{kind}: {other}") for kind in kinds)
+        bench.ratio(name, worst, bar)
     return bench
 
 
@@ -183,7 +176,3 @@ def _copies(count: int) -> tuple[States, list[LinearMap]]:
     names = [f"{side}{i}" for side in ("source", "target") for i in range(count)]
     states = States({name: StateSpec((SIZE,)) for name in names})
     return states, [LinearMap(states[f"source{i}"], states[f"target{i}"]) for i in range(count)]
-
-
-def _flat(root: Node) -> Step:
-    return loop(compile_graph(root).step)
