@@ -111,7 +111,7 @@ _OPTIONS = {
     ),
     "record": (_SECONDS,),
     "sweep": (argument("--rollouts", "N", "of each side, 2,000 unless told", type=int),),
-    "view": (_SECONDS, option("--sink", help="word of --view, page unless told")),
+    "view": (_SECONDS,),
 }
 
 add = several(
