@@ -35,11 +35,6 @@ class Rule:
     remedy: str
 
     @property
-    def severity(self) -> str:
-        """`error`, `note` or `either`."""
-        return "error" if self.firm else self.kind
-
-    @property
     def firm(self) -> bool:
         """Whether a run cannot begin with it."""
         return self.kind == "firm"
