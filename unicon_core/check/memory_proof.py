@@ -11,7 +11,7 @@ from __future__ import annotations
 import random
 import sys
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import partial
@@ -48,7 +48,7 @@ class Proof:
     trouble: str = ""
 
 
-def prove(block: Block, states: States, seed: int = 0) -> Proof:
+def prove(block: Block, states: States) -> Proof:
     """Return whether a block remembers what it declares, and nothing else.
 
     The states are as before at the end; the block is made fresh.
@@ -56,10 +56,9 @@ def prove(block: Block, states: States, seed: int = 0) -> Proof:
     Args:
         block: is called; nothing is sent.
         states: that it reads and writes.
-        seed: of what it reads.
     """
     kept = states.snapshot()
-    inputs = _Inputs(block, states, seed)
+    inputs = _inputs(block, states)
     try:
         memory = Memory({block.name: block.tick}, states.buffer)
         for why in memory.unproven.values():
@@ -86,17 +85,14 @@ def prove(block: Block, states: States, seed: int = 0) -> Proof:
     return Proof(hidden=paths or ("something that was not found",))
 
 
-class _Inputs:
-    """Random values of what a block reads, the same each time."""
+def _inputs(block: Block, states: States) -> Callable[[int], None]:
+    """Return what puts random values where a block reads, the same each time in a tick."""
+    names = [*block.reads, *block.amends] or [*states]
+    views = [(name, states[name], states[name].copy()) for name in names]
 
-    def __init__(self, block: Block, states: States, seed: int) -> None:
-        names = [*block.reads, *block.amends] or [*states]
-        self._views = [(name, states[name], states[name].copy()) for name in names]
-        self._seed = seed
-
-    def put(self, tick: int) -> None:
-        rng = np.random.default_rng((self._seed, tick))
-        for name, view, initial in self._views:
+    def put(tick: int) -> None:
+        rng = np.random.default_rng((0, tick))
+        for name, view, initial in views:
             if view.dtype.kind == "f":
                 noise = rng.normal(0.0, 0.05, view.shape)
                 view[...] = np.where(np.isfinite(initial), initial, 0.0) + noise
@@ -105,12 +101,16 @@ class _Inputs:
             elif view.dtype.kind in "iub" and name != "tick":
                 view[...] = rng.integers(0, 2, view.shape)
 
+    return put
 
-def _run(block: Block, states: States, inputs: _Inputs, ticks: Sequence[int]) -> list[Any]:
+
+def _run(
+    block: Block, states: States, inputs: Callable[[int], None], ticks: Sequence[int]
+) -> list[Any]:
     """Return what each tick wrote, or raised."""
     found: list[Any] = []
     for tick in ticks:
-        inputs.put(tick)
+        inputs(tick)
         try:
             done = bool(block.tick())
             found.append((done, states.buffer.tobytes()))
