@@ -169,14 +169,14 @@ SLOWER: tuple[Check, ...] = (
 )  # fmt: skip
 """They read the platform, hash files, or repeat what the build has done."""
 
-_CULPRITS: tuple[tuple[type[UniconError], str], ...] = (
-    (RobotError, "robot"),
-    (ModelError, "model"),
-    (PolicyError, "policy"),
-    (PlatformError, "platform"),
-    (MissingDependencyError, "installation"),
-    (UniconError, "workflow"),
-)
+_CULPRITS = {
+    RobotError: "robot",
+    ModelError: "model",
+    PolicyError: "policy",
+    PlatformError: "platform",
+    MissingDependencyError: "installation",
+    UniconError: "workflow",
+}
 
 
 def check_workflow(
@@ -209,7 +209,7 @@ def check_workflow(
         settings = check_section(document, result)
         subject = build_subject(document, hooks)
     except UniconError as error:
-        culprit = next(name for kind, name in _CULPRITS if isinstance(error, kind))
+        culprit = next(name for kind, name in _CULPRITS.items() if isinstance(error, kind))
         for each in error.problems or (error,):
             result.find_error("build", culprit, each)
         return result

@@ -6,7 +6,6 @@ In a divided workflow each state has one part that writes it, and has to reach i
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 
 import numpy as np
 
@@ -133,18 +132,20 @@ def check_parts(subject: Subject, result: CheckResult) -> None:
 
 
 def check_keys(subject: Subject, result: CheckResult) -> None:
-    """Find what other machines reach, and everybody there may write, for want of keys."""
+    """Find what other machines reach, and everybody there may write, for want of keys.
+
+    Parts of a live workflow without `--part` are in one process.
+    """
     program, document = subject.program, subject.document
     store, party = read_store(document), program.start.together
-    found: list[tuple[str, tuple[str, ...], Path | None, str]] = []
-    if store is not None and (program.part or not subject.live):  # else all is in one process
-        found.append(("store", (store.address,), store.keys, "store: {zmq: {address: …, keys: …}}"))
-    if party is not None:
+    found = []
+    if store is not None and store.keys is None and (program.part or not subject.live):
+        found.append(("store", [store.address], "store: {zmq: {address: …, keys: …}}"))
+    if party is not None and party.keys is None:
         remedy = "start: {together: {…, keys: FOLDER}}"
-        found.append(("start.together", tuple(party.robots.values()), party.keys, remedy))
-    for where, addresses, keys, remedy in found:
-        exposed = [address for address in addresses if is_exposed(address)]
-        if exposed and keys is None:
+        found.append(("start.together", [*party.robots.values()], remedy))
+    for where, addresses, remedy in found:
+        if exposed := [*filter(is_exposed, addresses)]:
             result.find(
                 "zmq.keys",
                 where,
