@@ -106,7 +106,7 @@ def test_damping_that_counts_twice_is_told_with_its_joints(assets: Path) -> None
     result = check_workflow("go1_walk")
     assert result.clean, result.text()  # it walks all the same
     note = note_of(result, "gains.passive")
-    assert "12 of 12 joints damp themselves beside the damping of policy 'walk'" in note
+    assert "12 of 12 joints damp themselves beside the policy's damping" in note
     assert "platforms: {mujoco: {passive: replace}}" in note
     for changes in (["platforms.mujoco.passive=replace"], ["policies.walk.given.damping=2.0"]):
         assert "gains.passive" not in [n.code for n in check_workflow("go1_walk", changes).notes]

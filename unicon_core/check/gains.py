@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from unicon_base import MissingDependencyError, ModelError
-from unicon_base.arrays import Array, Float64, Index
+from unicon_base.arrays import Array, Float64
 from unicon_core.check.joints import ModelJoints, check_mirrored, model_joints, robot_values
 from unicon_core.check.result import CheckResult, PolicyResult, first
 from unicon_core.check.subject import Subject, listed
 from unicon_core.models.find import model_of
 from unicon_core.models.load import load_model
 from unicon_core.platforms.platform import info_of
+from unicon_core.policies import PolicyContract
 from unicon_core.robots import Robot, joint_index
 from unicon_core.text_table import figure, figures, spans
 
@@ -53,23 +54,19 @@ def check_gains(subject: Subject, result: CheckResult) -> None:
         own = joint_index(contract.joints, robot.joint_names)
         _table(robot, policy, model)
         _plausible(robot, policy, passive[own])
-        twice = counted_twice(contract.damping, passive[own])
-        if twice.size:
-            i, name = twice[0], platform.facts.name
+        if twice := counted_twice(contract, passive[own]):
+            name = platform.facts.name
             result.note(
                 "gains.passive",
                 f"passive damping of model {subject.model.path if subject.model else name}",
-                f"{twice.size} of {len(own)} joints damp themselves beside the damping of policy "
-                f"{policy.key!r}: {contract.joints[i]} by {passive[own[i]]:g} and "
-                f"{contract.damping[i]:g} N·m·s/rad; in simulation both act, on the robot only the "
+                f"policy {policy.key!r}: {twice}; in simulation both act, on the robot only the "
                 "policy's",
                 "if the model has the policy's damping as <joint damping>, let the policy's "
                 f"replace it: platforms: {{{name}: {{passive: replace}}}}",
                 subject.document.where("platform"),
             )
         for what in ("stiffness", "damping"):
-            values = getattr(contract, what)
-            check_mirrored(policy, "gains.symmetry", what, contract.joints, values)
+            check_mirrored(policy, "gains.symmetry", what)
 
 
 def check_held(subject: Subject, result: CheckResult) -> None:
@@ -160,18 +157,25 @@ def _table(robot: Robot, policy: PolicyResult, model: ModelJoints | None) -> Non
         )
 
 
-def counted_twice(damping: Array, passive: Float64) -> Index:
-    """Return the joints that damp themselves about as much as a policy asks the motors to.
+def counted_twice(contract: PolicyContract, passive: Float64) -> str:
+    """Return which joints damp themselves about as much as a policy asks the motors to.
 
     Args:
-        damping: of the policy in [N·m·s/rad], shape (n,).
-        passive: of the same joints themselves.
+        contract: of the policy.
+        passive: damping of its joints themselves in [N·m·s/rad], shape (n,).
 
     Returns:
-        Places of those joints, the one with the greatest share first.
+        How many, and the one with the greatest share; "" for none.
     """
+    damping = contract.damping
     twice = np.flatnonzero((damping > 0.0) & (passive >= TWICE * damping))
-    return twice[np.argsort(-passive[twice] / damping[twice], kind="stable")]
+    if not twice.size:
+        return ""
+    i = twice[np.argmax(passive[twice] / damping[twice])]
+    return (
+        f"{twice.size} of {len(damping)} joints damp themselves beside the policy's damping, "
+        f"{contract.joints[i]} by {passive[i]:g} and {damping[i]:g} N·m·s/rad"
+    )
 
 
 def _plausible(robot: Robot, policy: PolicyResult, passive: Float64) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain, combinations
+from itertools import combinations
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -172,6 +173,8 @@ def _slots(robot: Robot) -> list[object]:
 
 ROUNDING = 0.02
 """Relative difference by which mirrored figures may differ (exports round to 3 decimals)."""
+POSE_TOLERANCE = 0.02
+"""In [rad] or [m]: by how much a pose may differ between sides."""
 
 # Unitree, Fourier, AgiBot, Booster (left_…), quadrupeds (FL_…), short forms (l_…, …_l).
 _SIDES = (
@@ -202,12 +205,10 @@ def mirror_pairs(names: Sequence[str]) -> list[tuple[str, str]]:
     return pairs
 
 
-def odd_pairs(
-    joints: Sequence[str], values: Float32, tolerance: float | None = None
-) -> list[tuple[str, str]]:
-    """Return the pairs (left, right) whose values are not the same size; as `check_mirrored`."""
+def _odd_pairs(what: str, joints: Sequence[str], values: Float32) -> list[tuple[str, str]]:
+    """Return the pairs (left, right) whose values, a part of a contract, differ in size."""
     sides = dict(zip(joints, map(float, values)))
-    limits = (ROUNDING, 1e-6) if tolerance is None else (0.0, tolerance)
+    limits = (0.0, POSE_TOLERANCE) if what == "default_joint_pos" else (ROUNDING, 1e-6)
     return [
         (left, right)
         for left, right in mirror_pairs(joints)
@@ -215,39 +216,28 @@ def odd_pairs(
     ]
 
 
-def check_mirrored(
-    policy: PolicyResult,
-    code: str,
-    what: str,
-    joints: Sequence[str],
-    values: Float32,
-    tolerance: float | None = None,
-) -> None:
+def check_mirrored(policy: PolicyResult, code: str, what: str) -> None:
     """Find values that are not the same size on both sides: they are in another order.
 
     Args:
         policy: is added to.
         code: of the finding.
-        what: the values are in the contract.
-        joints: whose values they are.
-        values: one for each joint.
-        tolerance: by which sides may differ; None for `ROUNDING` of the figure.
+        what: the values are in the contract, such as `damping` or `action.scale`.
     """
-    sides = dict(zip(joints, map(float, values)))
-    odd = odd_pairs(joints, values, tolerance)
+    contract = policy.contract
+    joints = contract.action.joints if what.startswith("action") else contract.joints
+    values = attrgetter(what)(contract)
+    odd, sides = _odd_pairs(what, joints, values), dict(zip(joints, map(figure, values)))
     if odd:
         left, right = odd[0]
         more = f" (and {len(odd) - 1} more pairs)" if len(odd) > 1 else ""
         policy.find(
             code,
             what,
-            f"{left} has {figure(sides[left])} and {right} has {figure(sides[right])}{more}",
+            f"{left} has {sides[left]} and {right} has {sides[right]}{more}",
             f"bring {what} into the order of joints: {listed(joints, 3)}",
         )
 
-
-POSE_TOLERANCE = 0.02
-"""In [rad] or [m]: by how much a pose may differ between sides."""
 
 Figures = dict[str, Float32]
 
@@ -306,14 +296,9 @@ def check_order(subject: Subject, result: CheckResult) -> None:
 
 def _order(robot: Robot, model: LoadedModel, policy: PolicyResult) -> None:
     contract = policy.contract
-    joints, action = contract.joints, contract.action
-    figures = {
-        "default_joint_pos": contract.default_joint_pos,
-        "stiffness": contract.stiffness,
-        "damping": contract.damping,
-    }
-    if action.joints == joints:
-        figures["action.scale"] = action.scale
+    joints, names = contract.joints, ["default_joint_pos", "stiffness", "damping"]
+    names += ["action.scale"] * (contract.action.joints == joints)
+    figures = {name: attrgetter(name)(contract) for name in names}
     # Gains may have an order of their own (that of motors): the others tell.
     odd = [name for name in figures if _odd(joints, {name: figures[name]})]
     if "default_joint_pos" not in odd:
@@ -361,9 +346,7 @@ def _exchanges(joints: Sequence[str], figures: Figures) -> Iterator[list[str]]:
 
 def _odd(joints: Sequence[str], figures: Figures) -> list[tuple[str, str]]:
     """Return the pairs (left, right) of which a figure differs."""
-    limits = {"default_joint_pos": POSE_TOLERANCE}
-    found = (odd_pairs(joints, values, limits.get(what)) for what, values in figures.items())
-    return list(chain(*found))
+    return [pair for what, each in figures.items() for pair in _odd_pairs(what, joints, each)]
 
 
 def robot_values(robot: Robot, joints: Sequence[str], *names: str) -> list[Float64]:

@@ -48,9 +48,8 @@ def check_pose(subject: Subject, result: CheckResult) -> None:
     """Add the table of poses for each policy, and findings."""
     policies = subject.policy_results(result)
     for policy in policies:
-        joints, pose = policy.contract.joints, policy.contract.default_joint_pos
         _limits(subject.robot, policy)
-        check_mirrored(policy, "pose.symmetry", "default_joint_pos", joints, pose, 0.02)
+        check_mirrored(policy, "pose.symmetry", "default_joint_pos")
     model = subject.model
     if model is not None:
         where = subject.document.where("scene")
@@ -70,7 +69,7 @@ def check_pose(subject: Subject, result: CheckResult) -> None:
 def _limits(robot: Robot, policy: PolicyResult) -> None:
     joints, pose = policy.contract.joints, policy.contract.default_joint_pos.astype(np.float64)
     own, lower, upper = robot_values(robot, joints, "default_joint_pos", "lower", "upper")
-    outside = (pose < lower - 1e-4) | (pose > upper + 1e-4)
+    outside = (pose < lower - ROUNDING) | (pose > upper + ROUNDING)
     far = np.abs(pose - own) > 0.3
     columns = {
         "joint": joints,
@@ -239,11 +238,8 @@ def check_collision(loaded: LoadedModel, robot: Robot, result: CheckResult, wher
 def check_action(subject: Subject, result: CheckResult) -> None:
     """Add one table of reachable targets for each policy, and findings."""
     for policy in subject.policy_results(result):
-        action = policy.contract.action
         _action(subject, policy)
-        check_mirrored(
-            policy, "action.symmetry", "action.scale", action.joints, np.abs(action.scale)
-        )
+        check_mirrored(policy, "action.symmetry", "action.scale")
 
 
 def _action(subject: Subject, policy: PolicyResult) -> None:

@@ -22,7 +22,14 @@ from unicon_core.check.twin.measures import (
     chosen,
     find_pressing,
 )
-from unicon_core.check.twin.perturb import GAIT, Change, evident_changes, perturbations, rivals
+from unicon_core.check.twin.perturb import (
+    GAINS,
+    GAIT,
+    Change,
+    evident_changes,
+    perturbations,
+    rivals,
+)
 from unicon_core.check.twin.repair import repairs
 from unicon_core.check.twin.session import TwinBlindError, TwinSession
 from unicon_core.models.find import Modelled
@@ -162,7 +169,8 @@ class _Twin:
             if compared is not None and compared.clear:
                 self.better(each, compared)
                 continue
-            suspicious = compared is not None and compared.alike and not broken.varied
+            # Trained policies bear other gains, as training varies them: only a gain tells.
+            suspicious = compared is not None and compared.alike and broken.culprit != GAINS
             scores = compared or Compared((given,), (each.measures,))
             verdict = "yours is suspect" if suspicious else "the twin does not tell which is right"
             each.policy.find(

@@ -65,7 +65,6 @@ class Change:
         without: what the simulator does without, by the name of its method: `unlimited` lifts
             limits of effort, `undamped` takes the joints' own damping away, `locked` welds joints.
         locked: joints of the model that stand still.
-        varied: trained policies bear it, as training varies it: only a gain tells.
         evidence: what the model shows by itself for this change; "" where only the run speaks for
             it.
         remedy: what to do, "" for comparing the culprit with the training side.
@@ -84,7 +83,6 @@ class Change:
     unlikely: bool = False
     without: Literal["", "unlimited", "undamped", "locked"] = ""
     locked: tuple[str, ...] = ()
-    varied: bool = False
     evidence: str = ""
     remedy: str = ""
     size: float = float("nan")
@@ -111,7 +109,7 @@ AS_GIVEN = Change("", "", None)
 
 
 def field_changed(
-    contract: PolicyContract, name: str, path: str, value: Any, where: str = "", **more: Any
+    contract: PolicyContract, name: str, path: str, value: Any, **more: Any
 ) -> Change:
     """Return a change of one field.
 
@@ -120,7 +118,6 @@ def field_changed(
         name: of the change.
         path: of the field, dotted, which is the culprit too.
         value: the new one.
-        where: follows the path in the culprit.
         more: attributes of the change.
     """
 
@@ -128,7 +125,7 @@ def field_changed(
         key, _, rest = path.partition(".")
         return replace(part, **{key: put(getattr(part, key), rest) if rest else value})
 
-    return Change(name, path + where, put(contract, path), **more)
+    return Change(name, path, put(contract, path), **more)
 
 
 def perturbations(contract: PolicyContract, depths: Sequence[int]) -> list[Change]:
@@ -198,7 +195,7 @@ def _gains(contract: PolicyContract, order: Array) -> Change:
     gains, name = gains_of(contract), "gains in another order"
     for broken in (gains[:, order], gains[:, order[::-1]]):
         if not np.allclose(broken, gains, rtol=1e-3):
-            return Change(name, GAINS, with_gains(contract, broken), varied=True)
+            return Change(name, GAINS, with_gains(contract, broken))
     return Change(name, GAINS, None, "all joints have the same gains")
 
 
@@ -344,16 +341,13 @@ def evident_changes(
         platform: name of the simulator.
     """
     own = passive[joint_index(contract.joints, robot.joint_names)]
-    twice = counted_twice(contract.damping, own)
-    if twice.size:
-        i = twice[0]
+    if twice := counted_twice(contract, own):
         yield Change(
             "passive damping removed",
             "passive damping of the model",
             contract,
             without="undamped",
-            evidence=f"{twice.size} of {len(own)} joints damp themselves beside the policy's "
-            f"damping, {contract.joints[i]} by {own[i]:g} and {contract.damping[i]:g} N·m·s/rad",
+            evidence=twice,
             remedy=f"let the policy's damping replace it (platforms: {{{platform}: {{passive: "
             "replace}}), or correct <joint damping> of the model",
         )
