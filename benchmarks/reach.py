@@ -106,11 +106,23 @@ def run(rounds: int | None = None) -> Bench:
         ours += pair
         if find_spec("mink"):
             for name, pairs in (("mink", ()), ("mink, apart", kept.pairs)):
-                ways[name] = MinkArms(path, robot, HANDS, moved, rate, PERIOD, pairs, APART)
-        for _ in range(bench.rounds):
-            if rate == RATES[-1]:
-                _compare(ways, watch, "circles", "", times, errors, nearest)
-            _compare(ways, watch, "crossing", f", {rate:g} rad/s", times, errors, nearest)
+                ways[name] = MinkArms(path, robot, HANDS, moved, rate, PERIOD, pairs)
+        motions = [*["circles"] * (rate == RATES[-1]), f"crossing, {rate:g} rad/s"]
+        for motion in motions * bench.rounds:
+            wanted = [_targets(motion, i, watch.homes) for i in range(TICKS)]
+            for name, way in ways.items():
+                took, poses = [], []
+                way.begin(watch.start)
+                for targets in wanted:
+                    took.append(timed(way, targets))
+                    poses.append(way.pos.copy())
+                case = f"{motion}: {name}"
+                times.add(case, took)
+                if motion == "circles":
+                    after = list(zip(poses, wanted))[SETTLED:]
+                    errors.add(case, [error for each in after for error in watch.error(*each)])
+                else:
+                    nearest.add(case, min(map(watch.nearest, poses)))
     times.add_to(
         bench,
         ("ik", "circles: ours", "circles: mink", 0.5),
@@ -128,32 +140,6 @@ def run(rounds: int | None = None) -> Bench:
     closest = min(nearest.of(name).min() for name in nearest.names if "ours, apart" in name)
     bench.ratio("crossing_mm", 1e3 * float(closest), 10.0, at_least=True)
     return bench
-
-
-def _compare(
-    ways: dict[str, _Ours | MinkArms],
-    watch: _Watch,
-    motion: str,
-    what: str,
-    times: Samples,
-    errors: Samples,
-    nearest: Samples,
-) -> None:
-    """Let all ways make a motion in turns, and keep what steps took and led to."""
-    wanted = [_targets(motion, i, watch.homes) for i in range(TICKS)]
-    for name, way in ways.items():
-        case = f"{motion}{what}: {name}"
-        took, poses = [], []
-        way.begin(watch.start)
-        for targets in wanted:
-            took.append(timed(way, targets))
-            poses.append(way.pos.copy())
-        times.add(case, took)
-        if motion == "circles":
-            after = list(zip(poses, wanted))[SETTLED:]
-            errors.add(case, [error for pair in after for error in watch.error(*pair)])
-        if motion == "crossing":
-            nearest.add(case, min(map(watch.nearest, poses)))
 
 
 def _targets(motion: str, tick: int, homes: Sequence[Any]) -> list[Pose]:
@@ -179,8 +165,7 @@ class MinkArms:
         moved: places of the moved joints in the robot's order, shape (k,).
         rate: largest speed of a joint in [rad/s].
         period: of a step in [s].
-        pairs: of capsules that are kept apart; none for no such limit.
-        apart: distance that they keep in [m].
+        pairs: of capsules that keep `APART`; none for no such limit.
 
     Attributes:
         pos: where the moved joints are commanded, in [rad], shape (k,).
@@ -195,7 +180,6 @@ class MinkArms:
         rate: float,
         period: float,
         pairs: Sequence[Pair] = (),
-        apart: float = 0.02,
     ) -> None:
         import mink
 
@@ -219,8 +203,8 @@ class MinkArms:
                 mink.CollisionAvoidanceLimit(
                     model,
                     [([CAPSULE + one], [CAPSULE + other]) for one, other in pairs],
-                    minimum_distance_from_collisions=apart,
-                    collision_detection_distance=0.08 + apart,
+                    minimum_distance_from_collisions=APART,
+                    collision_detection_distance=0.08 + APART,
                 )
             )
         self._index = [int(model.joint(name).qposadr[0]) for name in names]
