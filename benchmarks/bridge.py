@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import replace
-from functools import partial
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -126,7 +126,7 @@ class Desk:
         self._node, self._executor = node, executor
         self._group = compat.polled_group()
         self._opened = ExitStack()
-        self._number = 0
+        self._numbers = count()
 
     def close(self) -> None:
         """Take all topics down."""
@@ -139,7 +139,7 @@ class Desk:
     def senders(self, topic: str, joints: int) -> dict[str, Step]:
         """Return `ours` and `new message` of a topic of the default map."""
         states = bench_states(joints)
-        spec = _published(topic)
+        (spec,) = [s for s in load_map(find_config("maps", "default")).publish if s.topic == topic]
         return {
             "ours": self._out(replace(spec, topic=self._name()), states, joints),
             "new message": self._plain(spec.type, self._name(), states, joints),
@@ -149,20 +149,22 @@ class Desk:
         """Return our and the typed way to receive joint states, from `RECEIVED` topics each."""
         states, source = bench_states(joints), bench_states(joints)
         spec = load_map(find_config("maps", "joint_state_in")).subscribe[0]
-        ways: dict[str, Callable[[str], Step]] = {
-            "receive JointState: ours": lambda topic: self._in(
-                replace(spec, topic=topic, timeout=None), states, joints
-            ),
-            "receive JointState: typed": partial(self._typed, states=states),
-        }
+        spec = replace(spec, timeout=None)
         cases = {}
-        for name, way in ways.items():
-            topics = [self._name() for _ in range(RECEIVED)]
-            singles = [(self._feed(topic, source), way(topic)) for topic in topics]
-            for arrive, step in singles:
+        for name in ("ours", "typed"):
+            singles = []
+            for _ in range(RECEIVED):
+                topic = self._name()
+                arrive = self._feed(topic, source)
+                step = (
+                    self._in(replace(spec, topic=topic), states, joints)
+                    if name == "ours"
+                    else self._typed(topic, states)
+                )
                 _meet(arrive, step, states, source)
+                singles.append((arrive, step))
             arrive, step = map(_all, zip(*singles))
-            cases[name] = arrive, step
+            cases[f"receive JointState: {name}"] = arrive, step
         return cases
 
     def poller(self) -> Step:
@@ -171,8 +173,7 @@ class Desk:
         return self._in(replace(spec, topic=self._name()), bench_states(JOINTS), JOINTS)
 
     def _name(self) -> str:
-        self._number += 1
-        return f"bench/topic_{self._number}"
+        return f"bench/topic_{next(self._numbers)}"
 
     def _out(self, spec: PublishSpec, states: States, joints: int) -> Step:
         encoder = Encoder.build(spec, arrays_of(states), None, variables_of(joints))
@@ -226,12 +227,6 @@ class Desk:
                 arrays[2][:] = found.effort
 
         return receive
-
-
-def _published(topic: str) -> PublishSpec:
-    """Return the entry of a topic in the default map."""
-    (spec,) = [s for s in load_map(find_config("maps", "default")).publish if s.topic == topic]
-    return spec
 
 
 def _all(steps: Iterable[Step]) -> Step:
