@@ -9,6 +9,7 @@ from pathlib import Path
 
 from unicon_base import UniconError, cannot
 from unicon_core.page import write_file, write_json
+from unicon_lab.commands.diagnose import replays
 from unicon_ros.cli.console import note, print_table
 from unicon_ros.cli.options import argument, command, flag, group, positive, seconds
 
@@ -165,9 +166,6 @@ add = command(
             const=True,  # all words, which are not known before NumPy is loaded
         ),
         argument("--fit-joints", "PATTERNS", "of these joints (default: all)", default="*"),
-        argument("--fit-window", "S", "of a replay (default: 0.2)", type=positive, default=0.2),
-        flag("--hung", "the robot hung in the air, or its base was fixed"),
-        argument("--robot", "ROBOT", "its file (default: the record's)"),
-        argument("--processes", "N", "at once (default: one for each core)", type=int, default=0),
+        *replays("--fit-window"),
     ),
 )

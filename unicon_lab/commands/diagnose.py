@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +22,7 @@ from unicon_core.page import (
 )
 from unicon_lab.diagnose import MOTIONS
 from unicon_ros.cli.console import Console, print_table
-from unicon_ros.cli.options import argument, command, flag, option, positive, together
+from unicon_ros.cli.options import Adder, argument, command, flag, option, positive, together
 
 if TYPE_CHECKING:
     from unicon_lab.diagnose import Cause, Diagnosis, Shown
@@ -157,6 +158,16 @@ def _excite(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def replays(window: str) -> Sequence[Adder]:
+    """Return what adds the options of replays, the one for their time under a name."""
+    return (
+        argument(window, "S", "of a replay (default: 0.2)", type=positive, default=0.2),
+        flag("--hung", "the robot hung in the air, or its base was fixed"),
+        argument("--robot", "ROBOT", "its file (default: the record's)"),
+        argument("--processes", "N", "at once (default: one for each core)", type=int, default=0),
+    )
+
+
 _add_diagnose = command(
     "diagnose",
     _diagnose,
@@ -169,12 +180,9 @@ _add_diagnose = command(
     argument(
         "--reference", "RECORD", "of the same robot without the trouble: what both lack is no cause"
     ),
-    argument("--robot", "ROBOT", "its file (default: the record's)"),
-    flag("--hung", "the robot hung in the air, or its base was fixed"),
-    argument("--window", "S", "of a replay (default: 0.2)", type=positive, default=0.2),
+    *replays("--window"),
     argument("--json", "FILE", "write causes and notes as JSON"),
     argument("--html", "FILE", "write a page with the evidence drawn"),
-    argument("--processes", "N", "at once (default: one for each core)", type=int, default=0),
 )
 add = together(
     _add_diagnose,
