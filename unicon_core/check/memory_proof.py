@@ -12,7 +12,7 @@ import random
 import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 from functools import partial
 from types import BuiltinMethodType, FunctionType, GeneratorType, MethodType, ModuleType
@@ -79,10 +79,9 @@ def prove(block: Block, states: States) -> Proof:
         if block.reset is not None:
             block.reset()
         states.restore(kept)
-    paths = tuple(sorted(change.path for change in changed))
     if first == second:
-        return Proof(undeclared=tuple(each.path for each in changed if each.array is None))
-    return Proof(hidden=paths or ("something that was not found",))
+        return Proof(undeclared=tuple(path for path, (_, a) in changed.items() if a is None))
+    return Proof(hidden=tuple(sorted(changed)) or ("something that was not found",))
 
 
 def _inputs(block: Block, states: States) -> Callable[[int], None]:
@@ -121,31 +120,26 @@ def _run(
     return found
 
 
-@dataclass
-class _Place:
-    """Something that may change: where it is, and what it is now."""
-
-    path: str
-    value: Any
-    array: Array | None = field(default=None, repr=False)
+_Places = dict[str, tuple[Any, Array | None]]
+"""Path of what may change to its value, and the array that has it."""
 
 
-def _changed(before: dict[str, _Place], after: dict[str, _Place]) -> list[_Place]:
-    missing = _Place("", object())
-    return [
-        _Place(path, before.get(path, missing).value, place.array)
-        for path, place in after.items()
-        if place.value != before.get(path, missing).value
-    ]
+def _changed(before: _Places, after: _Places) -> _Places:
+    """Return what differs, with the values before."""
+    found = {}
+    for path, (value, array) in after.items():
+        was, _ = before.get(path, (_Walker, None))  # which is no value
+        if value != was:
+            found[path] = was, array
+    return found
 
 
-def _spoil(changed: list[_Place]) -> None:
+def _spoil(changed: _Places) -> None:
     """Put other numbers where a tick put some, in arrays."""
-    for place in changed:
-        array = place.array
-        if array is None or not array.flags.writeable or not isinstance(place.value, bytes):
+    for value, array in changed.values():
+        if array is None or not array.flags.writeable or not isinstance(value, bytes):
             continue
-        was = np.frombuffer(place.value, array.dtype)
+        was = np.frombuffer(value, array.dtype)
         if was.size == array.size and array.dtype.kind in "fiu":
             moved = was.reshape(array.shape) != array
             array[moved] = np.nan if array.dtype.kind == "f" else 77
@@ -155,7 +149,7 @@ class _Walker:
     """What a block can change without declaring it: `places`, by path."""
 
     def __init__(self, root: Any, states: States) -> None:
-        self.places: dict[str, _Place] = {}
+        self.places: _Places = {}
         self._states = states.buffer
         self._module = _package(holder_of(root))
         self._todo = deque([("", root)])
@@ -170,7 +164,7 @@ class _Walker:
     def _take(self, path: str, value: Any) -> None:
         if isinstance(value, np.ndarray):
             if not np.may_share_memory(value, self._states) and not value.dtype.hasobject:
-                self.places[path] = _Place(path, value.tobytes(), value)
+                self.places[path] = value.tobytes(), value
             return
         shown: Any
         if isinstance(value, (*_ATOMS, np.generic, Enum)):
@@ -191,7 +185,7 @@ class _Walker:
                 shown = len(value)
             else:
                 return
-        self.places[path] = _Place(path, shown)
+        self.places[path] = shown, None
 
     def _parts(self, value: Any, path: str) -> Iterator[tuple[str, Any]]:
         if isinstance(value, partial):
