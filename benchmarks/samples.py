@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from unicon_base import imported
-from unicon_base.arrays import Float32, Float64
+from unicon_base.arrays import Float64
 from unicon_core.policies import PolicyContract, load_policy
 from unicon_core.robots import Robot
 from unicon_core.runtime import TickStatistics
@@ -188,43 +188,37 @@ def random_policy(
         MissingDependencyError: the package onnx, which writes the file, is absent.
     """
     onnx = imported("onnx", "unicon bench")
-    from onnx import TensorProto, helper, numpy_helper
+    from onnx import numpy_helper, parser
 
     n = robot.num_joints
     sizes = [(9 + 3 * n) * history, *HIDDEN, n]
-    random = np.random.default_rng(0)
-    nodes, weights, last = [], [], "obs"
+    random, arrays, steps, last = np.random.default_rng(0), {}, list[str](), "obs"
     for i, (rows, columns) in enumerate(pairwise(sizes)):
-        matrix = random.normal(0.0, 0.5 / np.sqrt(rows), (rows, columns)).astype(np.float32)
-        weights.append(numpy_helper.from_array(matrix, f"w{i}"))
-        weights.append(numpy_helper.from_array(np.zeros(columns, np.float32), f"b{i}"))
+        arrays[f"w{i}"] = random.normal(0.0, 0.5 / np.sqrt(rows), (rows, columns))
+        arrays[f"b{i}"] = np.zeros(columns)
         out = f"h{i}" if i < len(HIDDEN) else "actions"
-        nodes.append(helper.make_node("Gemm", [last, f"w{i}", f"b{i}"], [out]))
+        steps.append(f"{out} = Gemm ({last}, w{i}, b{i})")
+        if recurrent and i == len(HIDDEN) - 1:
+            # Random as well, and it shrinks what it is multiplied with.
+            square = 0.5 / np.sqrt(columns), (columns, columns)
+            arrays["u"] = np.random.default_rng(1).normal(0.0, *square)
+            steps += ["before = MatMul (h_in, u)", f"sum = Add ({out}, before)"]
+            out = "sum"
         if i < len(HIDDEN):
-            if recurrent and i == len(HIDDEN) - 1:
-                weights.append(numpy_helper.from_array(_random_square(columns), "u"))
-                nodes.append(helper.make_node("MatMul", ["h_in", "u"], ["before"]))
-                nodes.append(helper.make_node("Add", [out, "before"], ["sum"]))
-                out = "sum"
-            nodes.append(helper.make_node("Elu", [out], [f"e{i}"]))
             last = f"e{i}"
-    memory: list[list[object]] = [[], []]
+            steps.append(f"{last} = Elu ({out})")
+    given, told = f"float[batch,{sizes[0]}] obs", f"float[batch,{n}] actions"
     if recurrent:
-        nodes.append(helper.make_node("Identity", [last], ["h_out"]))
-        memory = [
-            [helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, HIDDEN[-1]])]
-            for name in ("h_in", "h_out")
-        ]
-    graph = helper.make_graph(
-        nodes,
-        "mlp",
-        [helper.make_tensor_value_info("obs", TensorProto.FLOAT, ["batch", sizes[0]]), *memory[0]],
-        [helper.make_tensor_value_info("actions", TensorProto.FLOAT, ["batch", n]), *memory[1]],
-        weights,
+        steps.append(f"h_out = Identity ({last})")
+        given += f", float[1,{HIDDEN[-1]}] h_in"
+        told += f", float[1,{HIDDEN[-1]}] h_out"
+    head = '<ir_version: 8, opset_import: ["": 17]>'
+    network = parser.parse_model("\n".join([f"{head} mlp ({given}) => ({told}) {{", *steps, "}"]))
+    network.graph.initializer.extend(
+        numpy_helper.from_array(array.astype(np.float32), name) for name, array in arrays.items()
     )
-    opsets = [helper.make_opsetid("", 17)]
     folder.mkdir(parents=True, exist_ok=True)
-    onnx.save(helper.make_model(graph, opset_imports=opsets, ir_version=8), folder / "policy.onnx")
+    onnx.save(network, folder / "policy.onnx")
     frames = f", clip: [{-CLIP}, {CLIP}], history: {history}}}"
     lines = [
         "schema: unicon.policy/1",
@@ -245,9 +239,3 @@ def random_policy(
     ]
     (folder / "policy.yaml").write_text("\n".join(lines) + "\n", "utf-8")
     return load_policy(folder, robot=robot)
-
-
-def _random_square(size: int) -> Float32:
-    """Return a random matrix that shrinks what it is multiplied with, shape (size, size)."""
-    random = np.random.default_rng(1)
-    return random.normal(0.0, 0.5 / np.sqrt(size), (size, size)).astype(np.float32)
