@@ -22,7 +22,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Thread
 
-from unicon_base import AnyMapping, UniconError
+from unicon_base import AnyDict, AnyMapping, UniconError
 from unicon_base.resources import assets_root, find_config
 from unicon_core.robots import load_robot
 from unicon_core.workflow import load_document
@@ -230,30 +230,25 @@ def emulated(platform: str, name: str, arguments: tuple[str, ...]) -> Iterator[_
         command += ["--set", f"domain={domain}"]
         options = {"address": "127.0.0.1", "domain": domain, **PATIENCE}
         robot.sets = ("--set", f"platforms={json.dumps({platform: options})}")
-    process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=robot.environment
-    )
-    assert process.stdout is not None
-    assert process.stderr is not None
-    lines: list[str] = []
-    watcher = Thread(target=lines.extend, args=(process.stdout,), daemon=True)  # as they come
-    watcher.start()
-    try:
-        end = time.monotonic() + READY
-        while not lines:
-            if process.poll() is not None or time.monotonic() > end:
-                process.kill()
-                told = process.stderr.read().splitlines()[-1:] or ["it said nothing"]
-                raise UniconError(f"no robot: {told[0]}")
-            time.sleep(0.05)
-        yield robot
-        process.terminate()
-        watcher.join(GONE)
-        ended = [line for line in map(json.loads, lines) if line["kind"] == "ended"]
-        robot.moved = ended[0]["moved"] if ended and platform != "ros" else None
-    finally:
-        process.kill()
-        process.wait()
-        watcher.join(GONE)
-        process.stdout.close()
-        process.stderr.close()
+    pipes: AnyDict = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, env=robot.environment, **pipes) as process:
+        lines = list[str]()
+        watcher = Thread(target=lines.extend, args=(process.stdout,), daemon=True)  # as they come
+        watcher.start()
+        try:
+            end = time.monotonic() + READY
+            while not lines:
+                if process.poll() is not None or time.monotonic() > end:
+                    process.kill()
+                    assert process.stderr is not None
+                    told = process.stderr.read().splitlines()[-1:] or ["it said nothing"]
+                    raise UniconError(f"no robot: {told[0]}")
+                time.sleep(0.05)
+            yield robot
+            process.terminate()
+            watcher.join(GONE)
+            ended = [line for line in map(json.loads, lines) if line["kind"] == "ended"]
+            robot.moved = ended[0]["moved"] if ended and platform != "ros" else None
+        finally:
+            process.kill()
+            watcher.join(GONE)
