@@ -55,8 +55,8 @@ from unicon_ros.bench.report import Bench
 
 RATE = 500.0  # Hz
 SECONDS = 10.0  # of each run
-SETTLED = 1.0
-"""Of its beginning in [s] that are not counted: the posture's, and cold memory."""
+_FIRST = round(RATE)
+"""Ticks of its first second, which are not counted: the posture's, and cold memory."""
 RECORD_WITH, RECORD_WITHOUT = "recorded", "not recorded"
 
 
@@ -110,13 +110,18 @@ def _run_record(file: Path | None, seconds: float) -> tuple[dict[str, Float64], 
         runner = Runner(program, RunOptions(duration=seconds, warn=unsaid))
         session.attach(runner)
         record.attach(runner)
-        report = runner.run()
+        times = _times(runner)
     finally:
         session.close()
+    return times, {} if recording is None else recording.counts()
+
+
+def _times(runner: Runner) -> dict[str, Float64]:
+    """Run, and return the times of ticks in [µs]."""
+    report = runner.run()
     if report.faults:
-        raise RuntimeError(f"bench record: {report.faults[0]}")
-    counts = {} if recording is None else recording.counts()
-    return tick_times(runner.statistics, round(SETTLED * RATE)), counts
+        raise RuntimeError(f"bench: {report.faults[0]}")
+    return tick_times(runner.statistics, _FIRST)
 
 
 def walk(program: Program) -> HookBlocks:
@@ -251,16 +256,13 @@ def _run(name: str, seconds: float) -> tuple[dict[str, Float64], list[int]]:
             view.attach(runner)
         address = "" if view is None or name != LOOKED_AT else view.address
         with _clients(address, counts):
-            report = runner.run()
+            found = _times(runner)
     finally:
         if view is not None:
             view.close()
-    if report.faults:
-        raise RuntimeError(f"bench view: {report.faults[0]}")
-    statistics, first = runner.statistics, round(SETTLED * RATE)
-    found = tick_times(statistics, first)
     for part, blocks in OURS.items() if view is not None else ():
-        found[part] = np.sum([statistics.spans_us(block)[first:] for block in blocks], axis=0)
+        spans = [runner.statistics.spans_us(block)[_FIRST:] for block in blocks]
+        found[part] = np.sum(spans, axis=0)
     return found, counts
 
 
