@@ -94,8 +94,7 @@ def check_twin(
     try:
         twin.check()
     finally:
-        for each in (session, *twin.others.values()):
-            each.close()
+        session.close()
 
 
 @dataclass
@@ -107,7 +106,6 @@ class _Twin:
     rows: list[list[str]] = field(default_factory=list)
     policies: list[PolicyResult] = field(default_factory=list)
     walked: tuple[Measures, ...] = ()
-    others: dict[float, TwinSession] = field(default_factory=dict)
 
     def check(self) -> None:
         session, result = self.session, self.result
@@ -189,11 +187,10 @@ class _Twin:
             how = "does as well, with less torque, as" if compared.lighter else "does as well as"
             if change.culprit == GAIT:
                 how = "does as well, in calmer steps, as"
-        because = f" ({change.evidence})" if change.evidence else ""
         tried.policy.find(
             "twin.suspect",
             change.culprit,
-            f"with {change.name} it {how} with the given contract: {compared}{because}",
+            f"with {change.name} it {how} with the given contract: {compared}{change.because}",
             change.remedy or None,
             error=error,
         )
@@ -225,12 +222,11 @@ class _Twin:
             others = dict.fromkeys(t.change.culprit for t in found[1:])
             others.pop(repair.culprit, None)
             also = f"; as well with another {listed(others, 2)}" if others else ""
-            because = f" ({repair.evidence})" if repair.evidence else ""
             policy.find(
                 code,
                 repair.culprit,
                 f"{what} (score {given.score:.2f}); with {repair.name} it {mended.outcome()} "
-                f"(score {mended.score:.2f}){because}{also}",
+                f"(score {mended.score:.2f}){repair.because}{also}",
                 repair.remedy or None,
             )
         elif not self.policies:
@@ -313,13 +309,7 @@ class _Twin:
         seconds: float | None = None,
         command: Sequence[float] | None = None,
     ) -> Measures:
-        """Run a change, in a session of its own where the policy has another period."""
-        session, contract = self.session, change.contract
-        if contract is not None and contract.period != policy.contract.period:
-            if contract.period not in self.others:
-                self.others[contract.period] = session.at_period_of(policy.key, contract)
-            session = self.others[contract.period]
-        return session.run(seconds or self.seconds, policy.key, change, command)
+        return self.session.run(seconds or self.seconds, policy.key, change, command)
 
     def tables(self, given: Measures) -> None:
         what = f"{self.seconds:g} s of the policy" if self.policies else "the whole flow"

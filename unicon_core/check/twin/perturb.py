@@ -93,6 +93,11 @@ class Change:
     delay: int = 0
 
     @property
+    def because(self) -> str:
+        """The evidence, to follow a sentence; "" for none."""
+        return f" ({self.evidence})" if self.evidence else ""
+
+    @property
     def place(self) -> tuple[str, str]:
         """Kind and place of the culprit as a diagnosis names them, such as `joint_order` and ""."""
         part = self.culprit.removeprefix(TERMS)

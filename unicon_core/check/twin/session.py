@@ -209,6 +209,7 @@ class TwinSession:
     ) -> None:
         self.document = document
         self._command = command
+        self._others: dict[float, TwinSession] = {}
         self._wanted: Float64 | None = None
         self._asked: Float32 | None = None
         self.called: frozenset[str] = frozenset()
@@ -272,12 +273,26 @@ class TwinSession:
                 to its end.
             key: a policy under `policies:` whose contract is exchanged.
             change: its contract in place of the given one, and what is to be otherwise in the
-                simulator, where that can do so.
+                simulator, where that can do so. With another period it runs in a session of its
+                own.
             command: vx, vy [m/s], wz [rad/s] in place of the session's.
+
+        Raises:
+            UniconError: the simulator's step does not divide another period.
         """
+        contract = change.contract
+        if contract is not None and contract.period != self.program.policies[key].period:
+            if contract.period not in self._others:
+                values = deepcopy(self.document.values)
+                values["rate"] = 1.0 / min(self.program.period, contract.period)
+                document = replace(self.document, values=values)
+                self._others[contract.period] = TwinSession(
+                    document, self._command, {key: contract}
+                )
+            return self._others[contract.period].run(seconds, key, change, command)
         program, platform = self.program, self.program.platform
         self._asked = None if command is None else np.array(command, np.float32)
-        counted = self._exchange(key, change.contract)
+        counted = self._exchange(key, contract)
         runner = Runner(program, RunOptions(speed="max", warn=lambda text: None))
         recorder = Recorder(
             program.states, program.robot, self._effort, program.period, self._motion_error()
@@ -305,16 +320,6 @@ class TwinSession:
         tracks = any(map(_reads_command, self.contracts.values()))
         return recorder.measures(asked, fault, tracks)
 
-    def at_period_of(self, key: str, contract: PolicyContract) -> TwinSession:
-        """Return a session of the same workflow in which a policy has another period.
-
-        Raises:
-            UniconError: the simulator's step does not divide it.
-        """
-        values = deepcopy(self.document.values)
-        values["rate"] = 1.0 / min(self.program.period, contract.period)
-        return TwinSession(replace(self.document, values=values), self._command, {key: contract})
-
     def walks(self) -> list[list[float] | None]:
         """Return commands for comparing contracts: that of the session, faster, slower, in curves.
 
@@ -330,8 +335,9 @@ class TwinSession:
 
     def close(self) -> None:
         """Close the workflow; how a simulator ends does not matter."""
-        with suppress(UniconError):
-            self.program.close()
+        for session in (self, *self._others.values()):
+            with suppress(UniconError):
+                session.program.close()
 
     def _motion_error(self) -> Float32 | None:
         """Return the state of the first policy that follows a motion."""
