@@ -35,6 +35,9 @@ class VelocityCommand:
         limits: [[lowest, highest], …] of vx, vy, wz.
         duration: in [s]; None never ends.
 
+    Attributes:
+        values: all commands, within the limits, shape (rows, 3).
+
     Raises:
         WorkflowError: an option does not fit.
     """
@@ -62,7 +65,7 @@ class VelocityCommand:
         times = rows[:, 0].tolist()
         if any(late <= early for early, late in pairwise(times)):
             raise WorkflowError(f"the schedule's times {times} do not rise; correct them")
-        self._values = rows[:, 1:].astype(np.float32)
+        self.values = self._values = rows[:, 1:].astype(np.float32)
         if limits is not None:
             lower, upper = bounds = np.array(limits, np.float32).T
             if (lower > upper).any():

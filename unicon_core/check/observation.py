@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from unicon_base.arrays import Float32
+from unicon_core.blocks.velocity_command import VelocityCommand
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject
 from unicon_core.platforms.kit.base import rotation
@@ -259,8 +259,19 @@ def check_timing(subject: Subject, result: CheckResult) -> None:
             "catch_up would send old commands in one go to a robot",
             where=subject.document.where("pacing", "overrun"),
         )
+    commands = [(b, b.tick.values) for b in subject.blocks if isinstance(b.tick, VelocityCommand)]
     for policy in policies:
-        _commands(subject, policy)
+        ranges = policy.contract.command_ranges
+        low, high = np.transpose([ranges.get(axis, (-np.inf, np.inf)) for axis in _AXES])
+        for block, values in commands:
+            for row, i in np.argwhere((values < low - 1e-6) | (values > high + 1e-6)):
+                result.find(
+                    "command.range",
+                    "velocity_command",
+                    f"{_AXES[i]} {figure(values[row, i])} is outside "
+                    f"[{span(low[i], high[i], ', ')}], for which policy {policy.key!r} was trained",
+                    where=block.where,
+                )
 
 
 def check_commands(subject: Subject, result: CheckResult) -> None:
@@ -276,34 +287,6 @@ def check_commands(subject: Subject, result: CheckResult) -> None:
             "file (vx, vy, wz)",
             subject.robot.path,
         )
-
-
-def _commands(subject: Subject, policy: PolicyResult) -> None:
-    document = subject.document
-    for i, item in enumerate(document.get("commands", [])):
-        options = item.get("velocity_command") if isinstance(item, dict) else None
-        for vector in _vectors(options):
-            for axis, value in zip(_AXES, vector):
-                low, high = policy.contract.command_ranges.get(axis, (-np.inf, np.inf))
-                if not low - 1e-6 <= value <= high + 1e-6:
-                    policy.result.find(
-                        "command.range",
-                        "velocity_command",
-                        f"{axis} {figure(value)} is outside [{span(low, high, ', ')}], for which "
-                        f"policy {policy.key!r} was trained",
-                        where=document.where("commands", i),
-                    )
-
-
-def _vectors(options: Any) -> list[list[float]]:
-    """Return all commands that a `velocity_command` block is going to give."""
-    if not isinstance(options, dict):
-        return []
-    constant, schedule = options.get("constant"), options.get("schedule")
-    found = [constant] if isinstance(constant, list) else []
-    if isinstance(schedule, list):
-        found += [row[1:] for row in schedule if isinstance(row, list)]
-    return [[float(v) for v in vector] for vector in found]
 
 
 def check_clock(policy: PolicyResult) -> None:
