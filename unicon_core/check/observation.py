@@ -7,16 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from unicon_base.arrays import Float32
 from unicon_core.blocks.velocity_command import VelocityCommand
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject
 from unicon_core.platforms.kit.base import rotation
 from unicon_core.platforms.platform import info_of
-from unicon_core.policies import PolicyContract, TermSlice, term_slices
+from unicon_core.policies import TermSlice, term_slices
 from unicon_core.policies.hints import Feed
 from unicon_core.policies.networks.onnx_file import read_onnx
-from unicon_core.policies.table import input_places
+from unicon_core.policies.table import input_places, observation_rows
 from unicon_core.states.standard import ESTIMATORS
 from unicon_core.text_table import figure, span
 
@@ -36,10 +35,13 @@ def check_observation(subject: Subject, result: CheckResult) -> None:
             continue
         states = subject.states_of(key)
         slices = term_slices(contract, states, subject.robot.joint_names)
-        columns = ["term", "state", "slice", "offset", "scale", "clip", "history", "unit", "frame"]
-        rows = [_row(part, states.spec(part.term.state).frame) for part in slices]
-        lines = [f"term = scale · clip(state − offset); {_layout(contract)}"]
-        result.table(f"Observation of policy {key}", columns, rows, lines)
+        (heads, *rows), meaning = observation_rows(contract, subject.robot, states)
+        frames = [states.spec(part.term.state).frame or "-" for part in slices]
+        lines = [meaning]
+        if any(term.history > 1 for term in contract.terms):
+            lines.append(f"histories begin with {contract.observation.start}")
+        rows = [[*row, frame] for row, frame in zip(rows, frames)]
+        result.table(f"Observation of policy {key}", [*heads, "frame"], rows, lines)
         _sizes(policy, slices)
         for part in slices:
             _term(subject, policy, part)
@@ -57,38 +59,6 @@ def _quaternions(policy: PolicyResult) -> None:
                 f"it takes {taken}, and the network calls its output {output!r}",
                 "write it into a state of that order: motion_ref_quat_xyzw or motion_body_quat_w",
             )
-
-
-def _row(part: TermSlice, frame: str) -> list[str]:
-    term = part.term
-    index = "" if term.index is None else f"[{','.join(map(str, term.index))}]"
-    offset = term.subtract if isinstance(term.subtract, str) else _values(part.subtract, 0.0, "-")
-    clip = "-" if term.clip is None else span(part.low.min(), part.high.max())
-    return [
-        term.name,
-        term.state + index,
-        f"[{part.start}:{part.stop}]",
-        str(offset),
-        _values(part.scale, 1.0, "1"),
-        clip,
-        str(term.history),
-        part.unit or "-",
-        frame or "-",
-    ]
-
-
-def _values(values: Float32, neutral: float, same: str) -> str:
-    if (values == neutral).all():
-        return same
-    low, high = float(values.min()), float(values.max())
-    return figure(low) if low == high else span(low, high)
-
-
-def _layout(contract: PolicyContract) -> str:
-    spec = contract.observation
-    if all(term.history == 1 for term in contract.terms):
-        return "one frame, no history"
-    return f"{spec.layout}, newest {spec.newest}, begins with {spec.start}"
 
 
 def _sizes(policy: PolicyResult, slices: tuple[TermSlice, ...]) -> None:
