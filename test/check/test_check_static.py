@@ -53,7 +53,6 @@ def test_a_good_workflow_is_clean(folder: Path) -> None:
         "Gains",
         "Limits",
         "Observation",
-        "Network input",
         "Action",
         "Timing",
         "Default pose",
@@ -84,9 +83,9 @@ def test_terms_of_whole_frames_are_shown_in_their_frame(folder: Path) -> None:
     changes: dict[str, Any] = {"observation.layout": "frame_major", "observation.newest": "last"}
     changes |= {f"observation.terms.{i}.history": 3 for i in range(6)}
     result = check(folder, {**changes, "observation.start": "first"}, inputs=135)
-    rows = {row[0]: row[1:3] for row in section(result, "Network input")}
-    assert rows["ang_vel"] == ("3 × 3", "frame[0:3]")
-    assert rows["last_action"] == ("12 × 3", "frame[33:45]")
+    rows = {row[0]: row[2] for row in section(result, "Observation")}
+    assert rows["ang_vel"] == "frame[0:3]"
+    assert rows["last_action"] == "frame[33:45]"
 
 
 def test_a_robot_whose_driver_lacks_facts_is_found(folder: Path) -> None:

@@ -210,7 +210,7 @@ def test_a_replay_names_the_network_that_is_another_one(tmp_path: Path) -> None:
 def test_check_names_the_sizes_of_each_network(tmp_path: Path) -> None:
     path = chain_for_go2(tmp_path)
     text = check_workflow(path).text(200)
-    assert "39 values; the networks and what fills them:" in text
+    assert "the networks and what fills them:" in text
     assert "encoder: encoder.onnx takes history (1 × 39, float32) of observation, gives" in text
     taken = (
         "the action: actor.onnx takes obs (1 × 44, float32) of observation[0:39] + encoder.latent"

@@ -12,10 +12,10 @@ from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject
 from unicon_core.platforms.kit.base import rotation
 from unicon_core.platforms.platform import info_of
-from unicon_core.policies import TermSlice, term_slices
+from unicon_core.policies import PolicyContract, TermSlice, term_slices
 from unicon_core.policies.hints import Feed
 from unicon_core.policies.networks.onnx_file import read_onnx
-from unicon_core.policies.table import input_places, observation_rows
+from unicon_core.policies.table import observation_rows
 from unicon_core.states.standard import ESTIMATORS
 from unicon_core.text_table import figure, span
 
@@ -27,7 +27,7 @@ SIGNED = ("projected_gravity", "base_ang_vel", "joint_pos", "joint_vel")
 
 
 def check_observation(subject: Subject, result: CheckResult) -> None:
-    """Add a table of terms and one of the network's input for each policy, and findings."""
+    """Add a table of terms, and of what the network takes, for each policy, and findings."""
     for policy in subject.policy_results(result):
         key, contract = policy.key, policy.contract
         _quaternions(policy)
@@ -41,8 +41,8 @@ def check_observation(subject: Subject, result: CheckResult) -> None:
         if any(term.history > 1 for term in contract.terms):
             lines.append(f"histories begin with {contract.observation.start}")
         rows = [[*row, frame] for row, frame in zip(rows, frames)]
+        lines += _networks(contract)
         result.table(f"Observation of policy {key}", [*heads, "frame"], rows, lines)
-        _sizes(policy, slices)
         for part in slices:
             _term(subject, policy, part)
 
@@ -61,29 +61,17 @@ def _quaternions(policy: PolicyResult) -> None:
             )
 
 
-def _sizes(policy: PolicyResult, slices: tuple[TermSlice, ...]) -> None:
-    """Input size term by term beside the network's own; the build refuses a difference."""
-    contract = policy.contract
-    rows = [
-        [part.term.name, f"{part.elements.size} × {part.term.history}", place]
-        for part, place in zip(slices, input_places(contract, slices))
-    ]
-    size = sum(part.elements.size * part.term.history for part in slices)
-    tensor, chain = None, []
+def _networks(contract: PolicyContract) -> list[str]:
+    """Return what the networks take; the build refuses an observation of another size."""
     if contract.networks:
         chain = [_network(part.name, part.model, part.feeds) for part in contract.networks]
-        chain.append(_network("", contract.model, contract.feeds))
-    elif not contract.is_torchscript:
+        last = _network("", contract.model, contract.feeds)
+        return ["the networks and what fills them:", *chain, last]
+    if not contract.is_torchscript:
         tensors = {tensor.name: tensor for tensor in read_onnx(contract.model).inputs}
-        tensor = tensors.get(contract.inputs.get("observation", ""))
-    said = "; the network says no size"
-    if tensor is not None:
-        said = f"; {contract.model.name} takes {tensor}"
-    elif chain:
-        said = "; the networks and what fills them:"
-    title = f"Network input of policy {policy.key}"
-    lines = [f"{size} values{said}", *chain]
-    policy.result.table(title, ["term", "size", "input"], rows, lines)
+        if tensor := tensors.get(contract.inputs.get("observation", "")):
+            return [f"{contract.model.name} takes {tensor}"]
+    return ["the network says no size"]
 
 
 def _network(name: str, model: Path, feeds: Mapping[str, Sequence[Feed]]) -> str:
