@@ -14,8 +14,8 @@ import numpy as np
 from unicon_base.arrays import Float32, Float64, Index
 from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject, listed
-from unicon_core.models.kinematic_tree import read_tree
-from unicon_core.models.loaded import LoadedModel, drives, position_gains
+from unicon_core.models.load import effort_ranges
+from unicon_core.models.loaded import LoadedModel, dofs_above, drives, position_gains
 from unicon_core.policies.driven import DrivenPolicy
 from unicon_core.robots import Robot, joint_index
 from unicon_core.text_table import figure
@@ -50,36 +50,19 @@ def model_joints(loaded: LoadedModel | None) -> ModelJoints | None:
     if loaded is None:
         return None
     model, ids = loaded.model, loaded.joints
-    lower, upper, effort, kp, kd = (np.full(len(ids), np.nan) for _ in range(5))
-    driven = drives(model)
-    dofs = model.jnt_dofadr[list(ids)]
-    passive, inertia = model.dof_damping[dofs].astype(float), model.dof_M0[dofs].astype(float)
-    for k, joint in enumerate(ids):
-        if model.jnt_limited[joint]:
-            lower[k], upper[k] = model.jnt_range[joint]
-        if model.jnt_actfrclimited[joint]:
-            effort[k] = float(np.abs(model.jnt_actfrcrange[joint]).max())
-        for i in driven[joint]:  # the loader gives each joint one
-            gear, gains = float(model.actuator_gear[i, 0]), position_gains(model, i)
-            torques = [float(np.abs(model.actuator_forcerange[i]).max()) * gear]
-            if gains is not None:
-                kp[k], kd[k] = gains
-            else:  # a motor: its control is a torque
-                unit = float(model.actuator_gainprm[i, 0]) * gear
-                torques.append(float(np.abs(model.actuator_ctrlrange[i]).max()) * unit)
-            effort[k] = np.fmin(effort[k], min((t for t in torques if t > 0.0), default=np.nan))
+    lower, upper = np.where(model.jnt_limited[ids], model.jnt_range[ids].T, np.nan)
+    driven, none = drives(model), (np.nan, np.nan)  # the loader gives each joint an actuator
+    kp, kd = np.transpose([position_gains(model, driven[joint][0]) or none for joint in ids])
+    effort = np.maximum(*np.abs(effort_ranges(loaded, np.full(len(ids), np.nan))))
+    effort[np.isinf(effort)] = np.nan
+    passive, inertia = (values[loaded.dofs] for values in (model.dof_damping, model.dof_M0))
     return ModelJoints(loaded.path, lower, upper, effort, kp, kd, passive, inertia)
 
 
 def joint_depths(loaded: LoadedModel, robot: Robot, joints: Sequence[str]) -> list[int]:
-    """Return how many joints are above each joint in the model, shape (n,)."""
-    above: list[int] = []  # of each link
-    found: dict[str, int] = {}
-    for link in read_tree(loaded.model, robot):
-        count = above[link.parent] if link.parent >= 0 else 0
-        found[link.joint] = count
-        above.append(count + bool(link.joint))
-    return [found.get(name, 0) for name in joints]
+    """Return how many degrees of freedom each joint's body has in the model, shape (n,)."""
+    bodies = dict(zip(robot.joint_names, loaded.model.jnt_bodyid[loaded.joints].tolist()))
+    return [len(dofs_above(loaded.model, bodies[name])) for name in joints]
 
 
 def check_joints(subject: Subject, result: CheckResult) -> None:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from unicon_base import ModelError, RobotError, one_line
-from unicon_base.arrays import Float64
+from unicon_base.arrays import Array, Float64
 from unicon_core.models.absent import drop_absent_meshes, drop_absent_textures, repaired_urdf
 from unicon_core.models.attach import attach_members
 from unicon_core.models.bounded import refuse_endless, refuse_not_finite
@@ -40,7 +40,7 @@ def actuator_kind(model: Any, i: int) -> str:
     return "velocity" if model.actuator_biasprm[i, 2] != 0.0 else "motor"
 
 
-def effort_ranges(loaded: LoadedModel, robot: Robot) -> tuple[Float64, Float64]:
+def effort_ranges(loaded: LoadedModel, limit: Array) -> tuple[Float64, Float64]:
     """Return the torques in [N·m] between which each joint's motor stays, infinite for no limit.
 
     They are the tightest of the robot file's, and in the model of the control range of a motor, the
@@ -48,7 +48,7 @@ def effort_ranges(loaded: LoadedModel, robot: Robot) -> tuple[Float64, Float64]:
 
     Args:
         loaded: the model, its actuators as the file has them.
-        robot: says the largest torques, NaN for none.
+        limit: the largest torques that the robot file says, NaN for none, shape (n,).
 
     Returns:
         Lower and upper, shape (n,) each.
@@ -57,7 +57,7 @@ def effort_ranges(loaded: LoadedModel, robot: Robot) -> tuple[Float64, Float64]:
     driven = drives(loaded.model)
     lower, upper = np.full((2, len(loaded.joints)), np.inf)
     lower *= -1.0
-    for k, (joint, effort) in enumerate(zip(loaded.joints, robot.effort_limit)):
+    for k, (joint, effort) in enumerate(zip(loaded.joints, limit)):
         actuator = driven[joint][0]
         gear = float(model.actuator_gear[actuator, 0])
         ends = []

@@ -79,7 +79,7 @@ class MjxPlatform(SteppedSimulator):
         first = first.replace(qpos=qpos)
         self._first = jax.tree.map(lambda leaf: jax.numpy.stack([leaf] * count), first)
         self._moving = slice(places.base_vel, places.base_vel + 3)
-        limits = np.array(effort_ranges(start.loaded, robot), np.float32)
+        limits = np.array(effort_ranges(start.loaded, robot.effort_limit), np.float32)
         strength = strength_of(start.physics)
         factor = np.ones_like(limits[0]) if strength is None else strength.astype(np.float32)
         self._tick = partial(compiled_tick(places), compiled, limits, factor)

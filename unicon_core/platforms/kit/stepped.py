@@ -163,7 +163,7 @@ class SteppedSimulator(ABC):
         self._command = Command(states, robot.joint_names)
         rows = self._rows = self._command.rows.reshape(5, self.num_robots, -1)
         self._acting = np.zeros_like(rows)
-        lower, upper = effort_ranges(start.loaded, robot)
+        lower, upper = effort_ranges(start.loaded, robot.effort_limit)
         self._servo = Servo(self._acting, upper, lower)
         self._effort = dict(zip(("effort_lower", "effort_upper"), (lower, upper)))
         self.torque = self._servo.torque

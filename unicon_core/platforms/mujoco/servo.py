@@ -48,7 +48,9 @@ class Servo:
         self.silenced = [i for _, *others in driven for i in others]
         self.kinds = [actuator_kind(model, i) for i in self.actuators]
         self.gear = np.array([float(model.actuator_gear[i, 0]) for i in self.actuators])
-        self.effort_lower, self.effort_upper = lower, upper = effort_ranges(loaded, robot)
+        self.effort_lower, self.effort_upper = lower, upper = effort_ranges(
+            loaded, robot.effort_limit
+        )
         for k, i in enumerate(self.actuators):
             model.actuator_gaintype[i] = int(mujoco.mjtGain.mjGAIN_FIXED)
             model.actuator_biastype[i] = int(mujoco.mjtBias.mjBIAS_AFFINE)
