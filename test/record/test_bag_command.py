@@ -577,7 +577,7 @@ def test_the_keys_of_unicon_become_a_record(
         ("ts that does not grow", {"rec_dt": None, "ts": np.zeros(30, np.float32)}),
         ("of one length", {"states_qd": np.zeros((7, 12))}),
         ("states_rpy has shape (30, 2)", {"states_quat": None, "states_rpy": np.zeros((30, 2))}),
-        ("give numbers of shape (frames, joints)", {"states_q": np.full((30, 12), "x")}),
+        ("give numbers of shape (frames, elements)", {"states_q": np.full((30, 12), "x")}),
         ("ts that does not grow", {"rec_dt": None, "ts": np.r_[0.0:29.0, np.inf]}),
         ("rec_dt is float64 of shape (2,); give one", {"rec_dt": [0.02, 0.02]}),
         ("states_quat has shape (30, 3)", {"states_quat": np.zeros((30, 3))}),

@@ -293,20 +293,13 @@ def read_npz(path: Path, window: Window) -> Run:
     arrays = archive.arrays
     known = {key: name for key, name in KEYS.items() if name not in NOT_SURE}
     known |= {name: name for name in (*JOINTS, *BASE)}
-    found = {name: arrays[key] for key, name in known.items() if key in arrays}
+    found = {name: archive.columns(key) for key, name in known.items() if key in arrays}
     quat = None if {"projected_gravity", "base_quat"} & found.keys() else archive.base_quat()
     if quat is not None:
         found["base_quat"] = quat
-    for name, values in found.items():
-        if values.ndim != 2 or values.dtype.kind not in "fiu":
-            raise UniconError(
-                f"{path}: {name} has shape {values.shape} and type {values.dtype}; "
-                "give numbers of shape (samples, elements)"
-            )
     rows = len(found["joint_pos"]) if "joint_pos" in found else 0
     count = archive.written(rows)
-    if count < rows:
-        found = {name: values[:count] for name, values in found.items()}
+    found = {name: values[:count] if count < rows else values for name, values in found.items()}
     about = {name: str(arrays[name]) for name in ABOUT if name in arrays}
     clocks, joints = _clocks(archive, count), archive.joint_names()
     try:

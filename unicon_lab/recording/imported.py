@@ -233,7 +233,7 @@ class Archive:
         if len(shape) != 2 or shape[1] < (count or 0) or kind.kind not in "fiu":
             raise UniconError(
                 f"{self.path}: {key} has shape {shape} and type {kind}; give numbers of shape "
-                f"(frames, {count or 'joints'})"
+                f"(frames, {count or 'elements'})"
             )
         return values[:, :count]
 
