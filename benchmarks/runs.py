@@ -41,10 +41,9 @@ from benchmarks.samples import TICK, Samples, random_policy, tick_times, timed, 
 from unicon_base import AnyDict
 from unicon_base.arrays import Float64
 from unicon_base.resources import same_modules
-from unicon_core.flow import Block, Stage
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions, WallClock, WarmUp, prepare_process
-from unicon_core.workflow import HookBlocks, Program, load_workflow
+from unicon_core.workflow import load_workflow
 from unicon_lab.fault_record import FaultRecord
 from unicon_lab.recording.run_recording import Recording
 from unicon_lab.view import PORT
@@ -55,6 +54,10 @@ from unicon_ros.bench.report import Bench
 
 RATE = 500.0  # Hz
 SECONDS = 10.0  # of each run
+_WALK: AnyDict = {
+    "rate": RATE,
+    "commands": [{"velocity_command": {"constant": [0.3, 0.0, 0.0]}}],  # as a desk would
+}
 _FIRST = round(RATE)
 """Ticks of its first second, which are not counted: the posture's, and cold memory."""
 RECORD_WITH, RECORD_WITHOUT = "recorded", "not recorded"
@@ -105,8 +108,8 @@ def _run_record(file: Path | None, seconds: float) -> tuple[dict[str, Float64], 
     try:
         recording = None if file is None else Recording(file, None, session, unsaid)
         record = FaultRecord(None, unsaid, recording)
-        hooks = [session.hook, walk, *([recording.hook] if recording else []), record.hook]
-        program = load_workflow("go2_teleop", {"rate": RATE}, hooks=hooks)
+        hooks = [session.hook, *([recording.hook] if recording else []), record.hook]
+        program = load_workflow("go2_teleop", _WALK, hooks=hooks)
         runner = Runner(program, RunOptions(duration=seconds, warn=unsaid))
         session.attach(runner)
         record.attach(runner)
@@ -122,16 +125,6 @@ def _times(runner: Runner) -> dict[str, Float64]:
     if report.faults:
         raise RuntimeError(f"bench: {report.faults[0]}")
     return tick_times(runner.statistics, _FIRST)
-
-
-def walk(program: Program) -> HookBlocks:
-    """Command a slow walk, as a desk would."""
-    command = program.states["velocity_command"]
-
-    def walk() -> None:
-        command[:] = (0.3, 0.0, 0.0)
-
-    return {Stage.INPUT: [Block("walk", walk, amends=("velocity_command",), endless=True)]}
 
 
 def main() -> int:
@@ -247,8 +240,8 @@ def _run(name: str, seconds: float) -> tuple[dict[str, Float64], list[int]]:
     """Return the times of a run's ticks in [µs], and how many messages each client has read."""
     options = {"sink": "page", "host": "127.0.0.1", "port": PORT, "token": "", "fps": 30.0}
     view = None if name == NONE else View(options, warn=unsaid)
-    hooks = [walk, *([view.hook] if view else [])]
-    program = load_workflow("go2_teleop", {"rate": RATE, "ros": False}, hooks=hooks)
+    hooks = [view.hook] if view else []
+    program = load_workflow("go2_teleop", _WALK | {"ros": False}, hooks=hooks)
     runner = Runner(program, RunOptions(duration=seconds, warn=unsaid, detail=True))
     counts: list[int] = []
     try:
