@@ -16,8 +16,6 @@ interleaved. The tick of `unicon run --native` stands beside the network alone i
 
 from __future__ import annotations
 
-import ctypes
-import sys
 import tempfile
 from collections import deque
 from collections.abc import Callable
@@ -49,7 +47,7 @@ def run_timing(rounds: int | None = None) -> Bench:
     """
     bench = Bench("timing", rounds or ROUNDS)
     loops: dict[str, Callable[[int], Paced]] = {
-        "time.sleep": _sleeping,
+        "time.sleep": lambda ticks: paced(ticks, TIMING_RATE, sleep_until),
         "unicon": lambda ticks: _ours(ticks, TIMING_RATE),
     }
     late, share = "deadline error", "share of a core [%]"
@@ -65,12 +63,6 @@ def run_timing(rounds: int | None = None) -> Bench:
     bench.facts["deadline_p99, 95 % interval"] = interval(ratios)
     bench.ratio("pacing_cpu", float(np.median(times.of(f"unicon: {share}"))) / 100.0, 0.08)
     return bench
-
-
-def _sleeping(ticks: int) -> Paced:
-    if sys.platform == "linux":  # 29 is PR_SET_TIMERSLACK; 0 restores the process's own, 50 µs
-        ctypes.CDLL(None).prctl(29, ctypes.c_ulong(0), 0, 0, 0)
-    return paced(ticks, TIMING_RATE, sleep_until)
 
 
 def _ours(ticks: int, rate: float, tick: Step = bool, warm_up: Step | None = None) -> Paced:

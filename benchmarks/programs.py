@@ -42,8 +42,7 @@ from unicon_core.platforms.mujoco.batch import shares
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
-from unicon_core.workflow.registry import known
-from unicon_lab.transfer.rollout import OURS
+from unicon_lab.transfer.rollout import simulators
 from unicon_ros import compat
 from unicon_ros.bench.domains import loopback_environment
 from unicon_ros.bench.report import Bench
@@ -127,7 +126,7 @@ def run_simulators(rounds: int | None = None) -> Bench:
     bench = Bench("simulators", rounds or 10)
     times = Samples()
     platforms: dict[str, SteppedSimulator] = {}
-    for name in (n for n, at in known("platforms").items() if at.startswith(OURS)):
+    for name in simulators():
         try:
             workflow = load_workflow("go2_stand", [f"platform={name}", "flow=hold"])
         except MissingDependencyError as error:

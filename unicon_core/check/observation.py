@@ -209,8 +209,7 @@ def check_timing(subject: Subject, result: CheckResult) -> None:
             "it cannot tell when its data arrive",
             where=subject.document.where("pacing", "trigger"),
         )
-    catching_up = subject.document.get("pacing", {}).get("overrun") == "catch_up"
-    if catching_up and not platform.simulated and not told:
+    if program.pacing.overrun == "catch_up" and not platform.simulated and not told:
         result.find(
             "timing.catch_up",
             f"platform {platform.name!r}",
