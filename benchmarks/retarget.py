@@ -49,28 +49,25 @@ def run(rounds: int | None = None) -> Bench:
     sides: dict[str, Retargeter] = {"unicon": _ours(robot)}
     if find_spec("dex_retargeting"):
         sides[OTHER] = _other(robot)
-    times, errors = Samples(), Samples()
+    times, error = Samples(), "joint error [mrad]"
     now = time.perf_counter_ns
     for number in range(bench.rounds):
-        motion = smooth_motion(model, TICKS, RATE, seed=number)
-        took, wrong = np.zeros((2, len(sides), TICKS))
-        for tick, q in enumerate(motion):
+        rows = {name: list[tuple[float, float]]() for name in sides}
+        for q in smooth_motion(model, TICKS, RATE, seed=number):
             hand = copied_hand(model, q)
             vectors = model.tips.astype(np.float32)
-            for i, side in enumerate(sides.values()):
+            for name, side in sides.items():
                 begin = now()
                 found = side(hand, vectors)
-                took[i, tick] = (now() - begin) * 1e-3
-                wrong[i, tick] = np.abs(found - q).max()
-        for i, name in enumerate(sides):
-            times.add(name, took[i, 1:])  # in the first each looks for the hand
-            errors.add(name, wrong[i, 1:])
-    for name in sides:
-        bench.case(name, times.of(name))
-        bench.case(f"{name}: joint error [mrad]", errors.of(name) * 1e3)
-    bench.ratio("joint_error_p99", float(np.percentile(errors.of("unicon"), 99)), 0.01)
+                rows[name].append(((now() - begin) * 1e-3, 1e3 * np.abs(found - q).max()))
+        for name, of_ticks in rows.items():
+            took, wrong = np.transpose(of_ticks[1:])  # in the first each looks for the hand
+            times.add(name, took)
+            times.add(f"{name}: {error}", wrong)
+    times.add_to(bench, ("retarget", "unicon", OTHER, 0.1))
+    wrong = 1e-3 * times.of(f"unicon: {error}")
+    bench.ratio("joint_error_p99", float(np.percentile(wrong, 99)), 0.01)
     if OTHER in sides:
-        bench.ratio("retarget", times.ratio("unicon", OTHER), 0.1)
         bench.facts[OTHER] = metadata.version(OTHER)
     else:
         bench.facts[OTHER] = f"not compared, it is not installed: pip install {OTHER}"
