@@ -61,7 +61,7 @@ def check_files(subject: Subject, result: CheckResult) -> None:
     files += [(f"robot {m}".strip(), path) for m, path in robot_files(subject.robot).items()]
     if subject.model is not None:
         files.append(("model", subject.model.path))
-    expected = {}
+    expected = dict[Path, str | None]()
     for policy in subject.policy_results(result):
         for note in policy.contract.notes:
             policy.note("policy.source", "", note)
@@ -69,12 +69,9 @@ def check_files(subject: Subject, result: CheckResult) -> None:
         files.append((f"policy {key}", contract.path))
         if contract.model != contract.path:
             files.append((f"network {key}", contract.model))
-        for part in contract.networks:
-            files.append((f"network {key}.{part.name}", part.model))
-            if part.sha256 is not None:
-                expected[part.model] = part.sha256
-        if contract.sha256 is not None:
-            expected[contract.model] = contract.sha256
+        files += [(f"network {key}.{part.name}", part.model) for part in contract.networks]
+        expected |= {part.model: part.sha256 for part in contract.networks}
+        expected[contract.model] = contract.sha256
         if not contract.is_torchscript:
             external = read_onnx(contract.model).external
             files += [(f"weights {key}", contract.model.parent / name) for name in external]
@@ -157,14 +154,14 @@ def check_bodies(subject: Subject, result: CheckResult) -> None:
 
 Check = Callable[[Subject, CheckResult], None]
 
-CHECKS: tuple[Check, ...] = (
+CHECKS = (
     check_joints, check_order, check_gains, check_held, check_limits, check_observation,
     check_action, check_fed, check_timing, check_commands, check_pose, check_start, check_gates,
     check_safety, check_parts, check_keys, check_reach, check_robot,
 )  # fmt: skip
 """Those that `unicon run` asks, too."""
 
-SLOWER: tuple[Check, ...] = (
+SLOWER = (
     check_frames, check_files, check_bodies, check_blocks, check_memory, check_seen,
 )  # fmt: skip
 """They read the platform, hash files, or repeat what the build has done."""

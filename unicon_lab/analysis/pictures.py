@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from unicon_base.arrays import Float64
-from unicon_core.drawing import INK, MARK, Pictures, curve, grid, zoomed
+from unicon_core.drawing import INK, MARK, curve, grid, zoomed
 from unicon_core.metrics import rmse, shift_losses
 from unicon_lab.analysis.comparison import Comparison
 from unicon_lab.analysis.run import TRACKING
@@ -119,11 +117,11 @@ def _effort(figure: Any, comparison: Comparison) -> bool:
     return True
 
 
-# State, label, and what is drawn of it.
-_OF_BASE: tuple[tuple[str, str, Callable[[Float64], Float64]], ...] = (
-    ("projected_gravity", "lean [rad]", lambda rows: np.arccos(np.clip(-rows[:, 2], -1.0, 1.0))),
-    ("base_ang_vel", "turning: z [rad/s]", lambda rows: rows[:, 2]),
-    ("base_lin_vel", "speed: x [m/s]", lambda rows: rows[:, 0]),
+# State, its column that is drawn, and label.
+_OF_BASE = (
+    ("projected_gravity", 2, "lean [rad]"),
+    ("base_ang_vel", 2, "turning: z [rad/s]"),
+    ("base_lin_vel", 0, "speed: x [m/s]"),
 )
 
 
@@ -136,10 +134,12 @@ def _base(figure: Any, comparison: Comparison) -> bool:
     rows = figure.subplots(len(shown), sharex=True, squeeze=False)[:, 0]
     found = int(both.aligned.shift)
     begin = both.begins[0] - max(0, found) * both.period
-    for axes, (name, label, part) in zip(rows, shown):
+    for axes, (name, column, label) in zip(rows, shown):
         sides = ((both.sim_whole, found, SIM, "simulated"), (both.real_whole, 0, REAL, "real"))
         for side, shift, colour, who in sides:
-            values = part(side[name])
+            values = side[name][:, column]
+            if name == "projected_gravity":
+                values = np.arccos(np.clip(-values, -1.0, 1.0))
             time = begin + both.period * (shift + np.arange(len(values)))
             curve(axes, time, values, colour, who)
         axes.axvspan(both.time[0], both.time[-1], color="0.5", alpha=0.1, label="compared")
@@ -149,7 +149,7 @@ def _base(figure: Any, comparison: Comparison) -> bool:
     return True
 
 
-PICTURES: Pictures = {
+PICTURES = {
     "alignment": (
         _alignment,
         "Alignment in time",
