@@ -121,14 +121,18 @@ def _too_hard(subject: Subject, stiffness: Array, damping: Array) -> str:
 
 
 def _inertia(subject: Subject) -> Float64 | None:
-    """Return what joints turn in [kg·m²] by the model, on hardware by the robot file's, if any."""
+    """Return what joints turn in [kg·m²] by the model, on hardware by the robot file's, if any.
+
+    It is that of the model's zero pose, armature included: the diagonal of the mass matrix.
+    """
     robot = subject.robot
     try:
         path = model_of(subject.program.platform, robot)
-        loaded = model_joints(subject.model or load_model(path, robot, quiet=True))
+        loaded = subject.model or load_model(path, robot, quiet=True)
     except (ModelError, MissingDependencyError):
         return None
-    return None if loaded is None else loaded.inertia
+    inertia: Float64 = loaded.model.dof_M0[loaded.dofs]
+    return inertia
 
 
 def _table(robot: Robot, policy: PolicyResult, model: ModelJoints | None) -> None:

@@ -31,8 +31,6 @@ class ModelJoints:
         effort: largest torque in [N·m].
         stiffness, damping: gains of position actuators in [N·m/rad], [N·m·s/rad].
         passive: damping of the joint itself in [N·m·s/rad].
-        inertia: that a motor turns in the model's zero pose, armature included, in [kg·m²]; the
-            diagonal of the mass matrix (MuJoCo's `dof_M0`).
     """
 
     path: Path
@@ -42,7 +40,6 @@ class ModelJoints:
     stiffness: Float64
     damping: Float64
     passive: Float64
-    inertia: Float64
 
 
 def model_joints(loaded: LoadedModel | None) -> ModelJoints | None:
@@ -55,8 +52,8 @@ def model_joints(loaded: LoadedModel | None) -> ModelJoints | None:
     kp, kd = np.transpose([position_gains(model, driven[joint][0]) or none for joint in ids])
     effort = np.maximum(*np.abs(effort_ranges(loaded, np.full(len(ids), np.nan))))
     effort[np.isinf(effort)] = np.nan
-    passive, inertia = (values[loaded.dofs] for values in (model.dof_damping, model.dof_M0))
-    return ModelJoints(loaded.path, lower, upper, effort, kp, kd, passive, inertia)
+    passive = model.dof_damping[loaded.dofs]
+    return ModelJoints(loaded.path, lower, upper, effort, kp, kd, passive)
 
 
 def joint_depths(loaded: LoadedModel, robot: Robot, joints: Sequence[str]) -> list[int]:
