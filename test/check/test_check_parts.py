@@ -88,21 +88,10 @@ def test_the_other_order_is_breadth_first_and_back() -> None:
     assert [breadth[i] for i in again] == list(range(12))
 
 
-def by_joint(given_contract: PolicyContract) -> dict[str, tuple[float, ...]]:
-    """Every figure of every joint, looked up by name."""
-    columns = {
-        name: (
-            given_contract.default_joint_pos[i],
-            given_contract.stiffness[i],
-            given_contract.damping[i],
-        )
-        for i, name in enumerate(given_contract.joints)
-    }
-    action = given_contract.action
-    return {
-        name: (*columns[name], action.scale[i], action.offset[i])
-        for i, name in enumerate(action.joints)
-    }
+def by_joint(of: PolicyContract) -> dict[str, tuple[float, ...]]:
+    """Every figure of every joint, looked up by name; those of the action are in its order."""
+    figures = of.default_joint_pos, of.stiffness, of.damping, of.action.scale, of.action.offset
+    return dict(zip(of.joints, zip(*figures)))
 
 
 @settings(max_examples=50)
@@ -153,8 +142,6 @@ def test_a_flipped_sign_is_not_taken_for_a_scale() -> None:
 
 
 def test_equal_gains_cannot_be_in_the_wrong_order() -> None:
-    from dataclasses import replace
-
     same = replace(
         contract(), stiffness=np.full(12, 30, np.float32), damping=np.ones(12, np.float32)
     )

@@ -401,6 +401,8 @@ def test_commands_beyond_the_trained_ones_are_found(folder: Path) -> None:
     line = text_of(check(folder, None, fast), "command.range")
     assert "lin_vel_x 1.5 is outside [-1, 1], for which policy 'walk' was trained" in line
     assert "toy.yaml:" in line
+    limited = {"constant": [1.5, 0.0, 0.0], "limits": [[-1.0, 1.0]] * 3}
+    assert check(folder / "b", None, {"commands": [{"velocity_command": limited}]}).clean
 
 
 def test_a_default_pose_outside_the_limits_is_found(folder: Path) -> None:
