@@ -14,23 +14,13 @@ import numpy as np
 from unicon_base import UniconError
 from unicon_base.arrays import Array, Bool, Float64
 from unicon_core.platforms.kit.base import rotation
+from unicon_core.states.standard import COMMAND_STATES, JOINT_STATES
 from unicon_lab.recording import Record, open_record
 from unicon_lab.recording.imported import KEYS, NAMES, UNICONS, Archive, read_archive, too_large
 
 TRACKING = "tracking_error"
 """Target − position in [rad]."""
-JOINTS = (
-    "joint_pos",
-    "joint_vel",
-    "joint_effort",
-    "joint_pos_target",
-    "joint_vel_target",
-    "joint_effort_ff",
-    "joint_stiffness",
-    "joint_damping",
-    "motor_temperature",
-    TRACKING,
-)
+JOINTS = (*JOINT_STATES, *COMMAND_STATES, "motor_temperature", TRACKING)
 """The states of joints that are looked at; `joint_pos` must be there."""
 
 _XYZ = ("x", "y", "z")
