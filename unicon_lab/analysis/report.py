@@ -89,11 +89,11 @@ def write_report(
         "<h2>What was compared</h2>",
         pairs(facts),
         *(f"<p>{html.escape(note)}</p>" for note in both.notes),
+        "<h2>Every joint</h2>",
+        _joint_table(comparison),
+        *(shown for _, shown in drawings(PICTURES, comparison, folder=folder, tell=tell)),
+        f'<p class="sub">All figures, with all digits: analysis.json. unicon_ros {__version__}</p>',
     ]
-    parts += ["<h2>Every joint</h2>", _joint_table(comparison)]
-    parts += [shown for _, shown in drawings(PICTURES, comparison, folder=folder, tell=tell)]
-    end = f"All figures, with all digits: analysis.json. unicon_ros {__version__}"
-    parts.append(f'<p class="sub">{end}</p>')
     title = f"{runs[0].path.name} (real) and {runs[1].path.name} (simulated)"
     text = page(title, "How far the simulator is from the robot", parts)
     write_json(folder / "analysis.json", result)
