@@ -131,8 +131,9 @@ def transferred(transfer: Transfer) -> Outcome:
     source = edited(text, transfer.before)
     target = edited(source, transfer.edit)
     changed = difference(source, target)
-    removed = " ".join(line[1:] for line in changed if line[0] == "-").split()
-    added = " ".join(line[1:] for line in changed if line[0] == "+").split()
+    removed, added = (
+        " ".join(line[1:] for line in changed if line[0] == sign).split() for sign in "-+"
+    )
     words = sum(a != b for a, b in zip(removed, added)) + abs(len(removed) - len(added))
     with TemporaryDirectory(prefix="unicon_sloc_") as folder:
         path = Path(folder) / f"{transfer.workflow}.yaml"

@@ -76,18 +76,17 @@ def check_held(subject: Subject, result: CheckResult) -> None:
     for all its effort: the servo is on or off, and shakes. Many such joints are an error; few are
     one where the model says that they swing faster than the ticks follow.
     """
-    robot = subject.robot
-    own = robot.joint_stiffness, robot.joint_damping
-    sets: dict[bytes, tuple[str, Any, Any]] = {}
-    named: list[tuple[str, Any, Any]] = [(f"robot {robot.name}", own, robot.path)]
-    named += [
-        (f"block {b.name!r}", getattr(b.tick, "gains", None), b.where) for b in subject.blocks
-    ]
-    for culprit, gains, where in named:
-        if gains is not None and len(gains[0]) == robot.num_joints:  # not of a member
-            sets.setdefault(np.concatenate(gains).tobytes(), (culprit, gains, where))
-    for culprit, gains, where in sets.values():
-        result.find("gains.stiff", f"{culprit}, gains", _too_hard(subject, *gains), where=where)
+    robot, seen = subject.robot, set[bytes]()
+    own: Any = robot.joint_stiffness, robot.joint_damping
+    for culprit, gains, where in (
+        (f"robot {robot.name}", own, robot.path),
+        *((f"block {b.name!r}", getattr(b.tick, "gains", None), b.where) for b in subject.blocks),
+    ):
+        if gains is None or len(gains[0]) != robot.num_joints:  # of a member
+            continue
+        if (numbers := np.concatenate(gains).tobytes()) not in seen:
+            seen.add(numbers)
+            result.find("gains.stiff", f"{culprit}, gains", _too_hard(subject, *gains), where=where)
 
 
 def _too_hard(subject: Subject, stiffness: Array, damping: Array) -> str:
