@@ -73,14 +73,10 @@ def _zmq_sender(place: Path, states: States) -> ZmqWriter:
 
 
 class _Waiting:
-    """Waits for one of our readers, asleep; `starved` is how often no value could be had whole."""
+    """Waits for one of our readers, asleep."""
 
     def __init__(self, reader: Any) -> None:
         self._reader, self.close = reader, reader.close
-
-    @property
-    def starved(self) -> int:
-        return getattr(self._reader, "starved", 0)
 
     def receive(self, timeout: float) -> bool:
         """Wait for a value; return whether one has come."""
@@ -135,8 +131,6 @@ class RosSender(_RosNode):
 
 class RosReceiver(_RosNode):
     """Receives in the callback of a single-threaded executor."""
-
-    starved = 0
 
     def __init__(self, place: Path, states: States) -> None:
         super().__init__("reader", states)
@@ -276,7 +270,6 @@ def _slice_rows(each: Slice, read: dict[str, Int64], written: dict[str, Int64]) 
         "send": (written["end"] - written["begin"])[sent] * 1e-3,
         "reader's CPU [% of a core]": np.array([100.0 * each.measuring_share]),
         "torn": read["torn"][come].astype(float),
-        "starved": np.diff(read["starved"][come]).astype(float),
         "not seen": np.diff(read["number"][come]) - 1.0,
     }
 
@@ -285,7 +278,7 @@ def _counts(result: list[Rows]) -> str:
     """Return how many values came, and what became of the others, in words."""
     parts = [rows for rows in result if rows]
     values = sum(rows["one way"].size for rows in parts)
-    counts = [f"{sum(r[k].sum() for r in parts):.0f} {k}" for k in ("not seen", "torn", "starved")]
+    counts = [f"{sum(r[k].sum() for r in parts):.0f} {k}" for k in ("torn", "not seen")]
     return ", ".join([f"{values} values", *counts])
 
 
@@ -343,13 +336,13 @@ def _write(sender: Any, states: States, period: float, out: Path, stop: Stop) ->
 
 
 def _read(receiver: Any, states: States, out: Path, stop: Stop) -> None:
-    log = Log(out, "stamp", "received", "number", "torn", "starved")
+    log = Log(out, "stamp", "received", "number", "torn")
     data, number, stamp = states.data, states.number, states.stamp_ns
     while not stop:
         if receiver.receive(LONGEST):
             received = time.time_ns()
             torn = bool(np.any(data != int(number) % LARGEST))
-            log.add(int(stamp), received, int(number), torn, receiver.starved)
+            log.add(int(stamp), received, int(number), torn)
     log.save()
     receiver.close()
 

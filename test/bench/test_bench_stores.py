@@ -87,7 +87,6 @@ def test_a_torn_value_would_be_told(tmp_path: Path) -> None:
     states, log = group(), tmp_path / "0.npz"
 
     class Torn:
-        starved = 0
         closed = False
 
         def receive(self, timeout: float) -> bool:
