@@ -90,10 +90,10 @@ def check_joints(subject: Subject, result: CheckResult) -> None:
     lines = []
     for policy in subject.policy_results(result):
         contract = policy.contract
-        moved = [name for name in contract.joints if name in contract.action.joints]
+        moved = len(contract.action.joints)
         same = [name for name in names if name in contract.joints] == list(contract.joints)
         order = "in the robot's order" if same else "in another order, aligned by name"
-        lines.append(f"policy {policy.key} moves {len(moved)} of {len(names)} joints, {order}")
+        lines.append(f"policy {policy.key} moves {moved} of {len(names)} joints, {order}")
         held = [name for name in names if name not in contract.action.joints]
         if held:
             evidence = f"does not move {listed(held)}; they are held at their default"
