@@ -12,6 +12,7 @@ import contextlib
 import gc
 import io
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -31,7 +32,10 @@ PACKAGE = "pan_tilt"
 SIMULATORS = ("mujoco", "pybullet", "fake")
 MAPS = sorted(path.stem for path in (ROOT / "config/maps").glob("*.yaml"))
 SHIPPED = sorted((ROOT / "config/workflows").glob("*.yaml"))
-EXAMPLES = [ROOT / "examples/weak_calf.yaml", ROOT / "examples/rover/drive.yaml"]
+EXAMPLES = [
+    ROOT / "examples" / path
+    for path in ("weak_calf.yaml", "rover/drive.yaml", "native/go2_native.yaml")
+]
 OWN = ROOT / "examples" / PACKAGE / "config"
 BUSY = ("go2_nav", PACKAGE + "_look")
 FEW = ("agibot_x2", "default", "joint_state_in", "ros_robot", "unitree_go", "unitree_hg")
@@ -49,6 +53,8 @@ class Case(NamedTuple):
         """What check and run have in common."""
         path = next((p for p in [*SHIPPED, *EXAMPLES] if p.stem == self.workflow), self.workflow)
         given = [str(path), "--set", f"platform={self.platform}"]
+        if self.workflow == "go2_native":  # tests run side by side
+            given += ["--set", f"store={{shm: test{os.getpid()}}}"]
         if self.platform == "ros":
             return [*given, "--set", f"platforms.ros.map={self.map}"]
         return [*given, "--ros", "--map", self.map] if self.map else given
