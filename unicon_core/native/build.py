@@ -69,7 +69,7 @@ def load(source: str) -> ctypes.PyDLL:
     if not hasattr(os, "memfd_create"):  # as of conda
         raise NativeError("it needs Linux and a Python with os.memfd_create; leave out --native")
     command, about = compiler()
-    parts = [source, about, *command, *FLAGS, platform.machine(), *platform.libc_ver()]
+    parts = [source, about, *command, *FLAGS, *platform.libc_ver()]
     key = hashlib.sha256("\0".join(parts).encode()).hexdigest()
     folder = native_cache()
     if folder is None:

@@ -200,12 +200,12 @@ class Controller(Stretches):
         self.networks: list[Piece] = []
         self._workflow, self._locals = workflow, set[str]()
         self._resets: dict[str, Callable[[], object]] = {}
-        self._asked = set[str]()  # twins that answer with 0 or 1
+        self._asked = set[str]()  # calls of twins that answer with 0 or 1
 
     def call(self, block: Block, scope: Scope) -> str:
         text = super().call(block, scope)
         if not block.inline:
-            self._asked.update(line.removesuffix("()") for line in text.splitlines())
+            self._asked.update(text.split())
         return text
 
     def given_to_caller(self, block: Any) -> None:
@@ -239,10 +239,9 @@ class Controller(Stretches):
         for name, body in steps.items():
             self._locals.clear()
             lines = [line for statement in body for line in self.cpp(statement)]
-            held = [f"int64_t {each} = 0;" for each in ["c", *sorted(self._locals)]]
-            held += ["double w = 0.0;", "(void)c, (void)w;"]
-            self.functions += [f"static int64_t {name}() {{", *indent([*held, *lines])]
-            self.functions.append("}")
+            held = ["double w = 0.0;", "int64_t c = 0;", "(void)c, (void)w;"]
+            held += [f"int64_t {each} = 0;" for each in sorted(self._locals)]
+            self.functions += [f"static int64_t {name}() {{", *indent(held + lines), "}"]
         return functions
 
     # -- statements ------------------------------------------------------------------------------
@@ -254,7 +253,7 @@ class Controller(Stretches):
             case ast.Expr(value=ast.Call(func=ast.Name(id=name))) if _blend(name):
                 return True
             case ast.Assign(value=ast.Call(args=[ast.Call(func=ast.Name(id=asked))])):
-                return asked in self._asked
+                return f"{asked}()" in self._asked
         return super().is_native(statement)
 
     def callable(self, name: str) -> bool:
