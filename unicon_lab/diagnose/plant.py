@@ -75,7 +75,7 @@ KINDS = {
     "encoder offset": Kind("rad", 0.04, 0.05, 0.01, -0.5, 0.5, 2.0, True),
     "weakening": Kind("1/min", -0.2, 0.5, 0.15, -3.0, 3.0, 0.5, True),
     "torque limit": Kind("", -0.2, 0.3, 0.1, -0.95, 1.0, 1.0, True),
-    "payload": Kind("kg", 2.0, 3.0, 0.3, -50.0, 100.0, 4.0, False, _PAYLOAD),
+    "payload": Kind("kg", 2.0, 3.0, 0.3, -50.0, 100.0, 4.0, False, _PAYLOAD, bias=0.02),
     "centre of mass x": Kind("kg·m", 0.2, 0.3, 0.03, -20.0, 20.0, 1.0),
     "centre of mass y": Kind("kg·m", 0.2, 0.3, 0.03, -20.0, 20.0, 1.0),
     "centre of mass z": Kind("kg·m", 0.4, 0.3, 0.1, -20.0, 20.0, 0.5, bias=0.15),
