@@ -130,9 +130,7 @@ def _searched(case: Case, folder: str) -> Search:
     record, _ = made(case, 0, mkdtemp(dir=folder))
     robot, scene = simulated(record, case.name, None)
     motion, scene = motion_in(record, case.name, 0.2, case.hung, robot, scene)
-    search = searched(motion, robot, scene)
-    SIGNALS.check()
-    return search
+    return searched(motion, robot, scene)
 
 
 def judged(causes: Sequence[Cause], name: str, change: float) -> Row:

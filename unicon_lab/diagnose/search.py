@@ -36,8 +36,8 @@ MOST = 4
 HOPE = 3.0
 """What a fit by derivatives promises is exceeded by at most so much."""
 NEAR, RIVALS = 0.7, 3
-"""Part of the best candidate's log odds, from which others are fitted as closely; at most so
-many."""
+"""Part of what the best candidate adds to the log-likelihood, from which others are fitted as
+closely, and how many at most with it."""
 HOPELESS = 8.0
 """Log odds by which a candidate may lag behind what it needs, and is followed still."""
 BESIDE = 0.03
