@@ -1,17 +1,8 @@
 // Attacks an exported controller: `attack FOLDER ONNXRUNTIME` prints what the test compares.
-#include "controller.h"
+#include "vectors.h"
 
 #include <math.h>
-#include <stdio.h>
 #include <string.h>
-
-#include <fstream>
-#include <string>
-#include <vector>
-
-static int failures = 0;
-#define CHECK(fact) \
-  if (!(fact)) { printf("line %d: %s\n", __LINE__, #fact); ++failures; }
 
 static bool finite_output(const unicon_tick_output& output) {
   bool finite = true;
@@ -21,15 +12,9 @@ static bool finite_output(const unicon_tick_output& output) {
 }
 
 int main(int, char** words) {
-  std::string folder = words[1], line;
-  std::ifstream file(folder + "/vectors.bin", std::ios::binary);
-  std::getline(file, line);
-  const size_t ticks = std::stoul(line);
-  std::getline(file, line);
-  std::vector<unicon_tick_input> inputs(ticks);
-  std::vector<unicon_tick_output> expected(ticks);
-  file.read((char*)inputs.data(), (std::streamsize)(ticks * sizeof inputs[0]));
-  file.read((char*)expected.data(), (std::streamsize)(ticks * sizeof expected[0]));
+  std::string folder = words[1];
+  auto [inputs, expected] = Vectors(folder);
+  const size_t ticks = inputs.size();
   unicon_tick_output output;
   const size_t joints = sizeof output.joint_stiffness / sizeof(float);
 

@@ -1,14 +1,9 @@
 // A controller manager and a robot for unicon_controller.cpp, without ROS: gives recorded inputs by
 // interfaces in another order, and compares efforts. `robot FOLDER ONNXRUNTIME`.
-#include <cstdio>
 #include <cstdlib>
-#include <fstream>
 
 #include "unicon_controller.cpp"
-
-static int failures = 0;
-#define CHECK(fact) \
-  if (!(fact)) { printf("line %d: %s\n", __LINE__, #fact); ++failures; }
+#include "vectors.h"
 
 struct Robot : unicon::UniconController {
   std::map<std::string, double> values;
@@ -42,15 +37,9 @@ struct Robot : unicon::UniconController {
 };
 
 int main(int, char** words) {
-  std::string folder = words[1], line;
-  std::ifstream file(folder + "/vectors.bin", std::ios::binary);
-  std::getline(file, line);
-  const size_t ticks = std::stoul(line);
-  std::getline(file, line);
-  std::vector<unicon_tick_input> inputs(ticks);
-  std::vector<unicon_tick_output> outputs(ticks);
-  file.read((char*)inputs.data(), (std::streamsize)(ticks * sizeof inputs[0]));
-  file.read((char*)outputs.data(), (std::streamsize)(ticks * sizeof outputs[0]));
+  std::string folder = words[1];
+  auto [inputs, outputs] = Vectors(folder);
+  const size_t ticks = inputs.size();
   Robot robot;
   using unicon::CallbackReturn;
   using unicon::return_type;
