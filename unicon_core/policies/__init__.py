@@ -2,7 +2,6 @@
 
 from unicon_core.policies.contract import (
     ActionSpec,
-    MotionSpec,
     ObservationSpec,
     ObservationTerm,
     PhaseSpec,
@@ -10,6 +9,7 @@ from unicon_core.policies.contract import (
     Recurrent,
 )
 from unicon_core.policies.load import ImportReport, import_policy, load_policy, policy_names
+from unicon_core.policies.motion.spec import MotionSpec
 from unicon_core.policies.observation import Observation
 from unicon_core.policies.phase import GaitPhase
 from unicon_core.policies.policy import Policy

@@ -19,7 +19,6 @@ import numpy as np
 from unicon_base import AnyDict
 from unicon_base.arrays import Bool, Float32
 from unicon_base.schema.marks import (
-    Checked,
     Core,
     Made,
     Names,
@@ -27,7 +26,6 @@ from unicon_base.schema.marks import (
     Within,
     Write,
     positive,
-    twice,
 )
 from unicon_base.schema.types import Here
 from unicon_core.bounds import SCALE, Damping, Stiffness
@@ -52,6 +50,7 @@ from unicon_core.policies.hints import (
     rounded,
     rounded_one,
 )
+from unicon_core.policies.motion.spec import MotionSpec
 
 ActionKind: TypeAlias = Literal["position", "velocity", "torque"]
 TORCHSCRIPT = (".pt", ".pth", ".jit")
@@ -269,56 +268,6 @@ class ChildSpec:
     timeout: Annotated[float | None, Within(0.001, 60.0, "s")] = None
     cpu: Core | None = None
     threads: Annotated[int, Within(1, 64)] = 1
-
-
-AXES = {
-    "x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0),
-    "-x": (-1.0, 0.0, 0.0), "-y": (0.0, -1.0, 0.0), "-z": (0.0, 0.0, -1.0),
-}  # fmt: skip
-"""Word of `motion.chain` to the unit vector that it means."""
-
-
-MotionTime = Annotated[float, Within(0.0, 86_400.0, "s")]
-"""Within a motion, which is a day at most."""
-
-
-@dataclass(frozen=True)
-class MotionSpec:
-    """The motion that a policy is to follow, and the body by which the robot is compared with it.
-
-    Attributes:
-        anchor_body: such as `torso_link`; a body of the robot's model.
-        file: `.npz` or `.csv`, or None: outputs of the network are the reference.
-        bodies: of the outputs `motion_body_pos_w` and `motion_body_quat_w`, in their order.
-        align: `yaw` turns the motion about the vertical and shifts it, so that it begins where the
-            robot stands; `none` leaves it in the robot's world.
-        start: of what is played of it in [s].
-        end: of what is played in [s], or None for all.
-        hold: for so long in [s] the first frame is shown before the motion goes on; those who train
-            with it hold it (amazon-far/holosoma: `freeze_at_timestep_zero_prob`).
-        fps: frames in a second of a file, or None: as the file says, 30 of a `.csv`.
-        joints: the file's joints in order, `policy`, `robot`, or None: as its format has it.
-        chain: joint to axis (`x`, `-y`, …) from the base to the anchor, for a robot without a
-            model; empty: as the model has it.
-    """
-
-    anchor_body: Annotated[Text, Write("a body, as torso_link")]
-    file: Annotated[Path | None, Write("a .npz or .csv file")] = None
-    bodies: Annotated[tuple[Text, ...], Checked(twice)] = ()
-    align: Literal["yaw", "none"] = "yaw"
-    start: MotionTime = 0.0
-    end: MotionTime | None = None
-    hold: MotionTime = 0.0
-    fps: Annotated[float | None, Within(1.0, 10_000.0, "Hz")] = None
-    joints: Literal["policy", "robot"] | Names | None = None
-    chain: Mapping[str, Literal["x", "y", "z", "-x", "-y", "-z"]] = field(default_factory=dict)
-
-    @staticmethod
-    def between(found: AnyDict, here: Here) -> None:
-        """Note an end before the start."""
-        start, end = found.get("start", 0.0), found.get("end")
-        if end is not None and end <= start:
-            here.value(f"is {end:g} s and start {start:g} s; end after the start", "end")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -16,10 +16,11 @@ from unicon_base import AnyDict, PolicyError, cannot
 from unicon_base.located_yaml import Located, Tagged
 from unicon_base.resources import sha256_of
 from unicon_core.file_kinds import other_kind
-from unicon_core.policies.contract import MotionSpec, ObservationTerm, PolicyContract, PolicyFacts
+from unicon_core.policies.contract import ObservationTerm, PolicyContract, PolicyFacts
 from unicon_core.policies.facts import TO_GIVE, Facts
 from unicon_core.policies.file import read_facts
 from unicon_core.policies.hints import Feed
+from unicon_core.policies.motion.spec import MotionSpec
 from unicon_core.policies.networks.onnx_file import read_onnx
 
 SCHEMA = "unicon.policy/1"

@@ -23,7 +23,8 @@ from unicon_base.arrays import Float32, Float64
 from unicon_core.models.frames import Quat, Vector, multiply, rotate, turned
 from unicon_core.models.kinematic_tree import BASE, frame_of, read_tree
 from unicon_core.models.load import load_model
-from unicon_core.policies.contract import AXES, MotionSpec, PolicyContract
+from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.motion.spec import AXES, MotionSpec
 from unicon_core.robots import Robot
 
 MOST_BYTES = 1 << 30
