@@ -66,6 +66,20 @@ def test_a_replay_with_the_right_change_is_the_run(tmp_path: Path) -> None:
     assert np.abs(wrong[..., CALF]).max() > 0.02
 
 
+def test_a_slope_is_not_taken_for_the_flat_ground_of_the_simulator() -> None:
+    """A record in simulation has the base's height, which is none above this ground."""
+    slope = {"scene.terrain": {"slope": {"angle": 0.1, "flat": 1.0}}}
+    states, period = states_of("go2_walk", slope, seconds=8.9)
+    usable = np.arange(len(states["tick"])) > 325  # from 0.6 m in front of the start on
+    it = Motion.of(states, period, usable, most=8)
+    with Replays(GO2, Scene(), it, 1) as replays:
+        changes = [{("slope x", -1): np.tan(0.1)}, {}, {("attitude y", -1): -0.1}]
+        answers = replays(changes, [replays.settle({})] * 3)
+    right, flat, attitude = (np.sqrt(((each - it.answers) ** 2).mean()) for each in answers)
+    assert right < 0.25 * flat
+    assert right < attitude
+
+
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_change_beyond_its_bounds_ends_at_them(long: Motion, kind: str, sign: float) -> None:

@@ -16,6 +16,7 @@ from unicon_base.arrays import Array, Float64, Int64
 from unicon_base.errors import Fault, ModelError
 from unicon_core.models.feet import Feet
 from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.models.posed import PosedModel
 from unicon_core.platforms.kit.base import rotation
 from unicon_core.platforms.kit.disturbances import Beside
 from unicon_core.platforms.kit.scene import Scene
@@ -58,6 +59,7 @@ class Kind:
 
 _PAYLOAD = "scene: {{payload: {{mass: {size:.3g}}}}}"
 _GROUND = "scene: {{contact_friction: {after:.3g}}}"
+_SLOPE = "scene: {{terrain: {{slope: {{angle: {size:.3g}}}}}}}"
 
 
 def _joint(word: str) -> str:
@@ -89,13 +91,15 @@ KINDS = {
     "IMU latency": Kind("s", 0.01, 0.01, 0.003, 0.0, 0.1, 1.0),
     "attitude x": Kind("rad", 0.04, 0.03, 0.01, -0.5, 0.5, 0.7),
     "attitude y": Kind("rad", 0.04, 0.03, 0.01, -0.5, 0.5, 0.7),
+    "slope x": Kind("", 0.04, 0.05, 0.01, -0.5, 0.5, 0.5, False, _SLOPE),
+    "slope y": Kind("", 0.04, 0.05, 0.01, -0.5, 0.5, 0.5),
 }
 """What may differ. Weakening is the loss of strength from the middle of a record on. Attitude is
-that of the IMU on its base, or of the ground under the robot: a window cannot tell them apart.
+that of the IMU on its base. Slope is how much the ground rises along an axis of the world.
 Steps and bounds are ours, chosen for robots of 10 to 80 kg."""
 
 OF_BASE = tuple(
-    name for name in KINDS if name[:4] in ("payl", "cent", "iner", "gyro", "atti", "IMU ")
+    name for name in KINDS if name[:4] in ("payl", "cent", "iner", "gyro", "atti", "IMU ", "slop")
 )
 
 MOTION = {
@@ -112,6 +116,9 @@ Change = Mapping[Place, float]
 
 AROUND = 3
 """Ticks before and behind the first one of a window, over which `Plant.carried` is a median."""
+LEVEL = 0.03
+"""Distance in [m] of the lowest foot from the simulator's ground, from which on the height of the
+base counts as not measured: the robot stood on other ground."""
 _LOST = np.pi
 """Error in [rad] that stands for physics that blew up."""
 
@@ -155,6 +162,11 @@ class Plant:
         self._gains = np.ones(2)
         self._weaker = np.zeros(robot.num_joints)
         self._bias, self._tilt, self._late = np.zeros(3), np.zeros(3), 0.0
+        self._slope = np.zeros(3)
+        self._gravity = np.array(model.opt.gravity)
+        self._measured = dict(motion.measured)
+        if motion.has_base and "base_pos_w" in self._measured and not self._level():
+            del self._measured["base_pos_w"]
 
     def replayed(self, change: Change, begins: Float64) -> Float64:
         """Return the answers of a motion's windows with a change; see `Motion.answers`.
@@ -185,7 +197,7 @@ class Plant:
                     row[:n] = self._beside.step(self._commands(start + tick)) + self._offset
                     if base:
                         late = states["base_ang_vel"] * self._late
-                        quat = _turned(states["base_quat"], self._tilt - late)
+                        quat = self._tilted(states["base_quat"], self._tilt - late, 1.0)
                         row[n : n + 2] = gravity_xy(quat)
                         row[n + 2 :] = states["base_ang_vel"] + self._bias
             except Fault:
@@ -218,14 +230,14 @@ class Plant:
     def _put(self, window: int, begin: Float64) -> dict[str, Array]:
         """Put the robot where a window begins, and return what was put there."""
         start = self._motion.starts[window]
-        put = {name: values[start] for name, values in self._motion.measured.items()}
+        put = {name: values[start] for name, values in self._measured.items()}
         put["joint_pos"] = put["joint_pos"] - self._offset
         put["joint_vel"] = put["joint_vel"] - begin[: len(self._offset)]
         if "base_ang_vel" in put:
             put["base_ang_vel"] = put["base_ang_vel"] - self._bias
         if "base_quat" in put:
             late = put["base_ang_vel"] * self._late if "base_ang_vel" in put else 0.0
-            put["base_quat"] = _turned(put["base_quat"], late - self._tilt)
+            put["base_quat"] = self._tilted(put["base_quat"], late - self._tilt, -1.0)
         if not self._motion.has_base:
             self._beside.put(put)
             return put
@@ -235,6 +247,21 @@ class Plant:
         put["base_pos_w"] = base - (0.0, 0.0, begin[-1])
         self._beside.put(put)
         return put
+
+    def _level(self) -> bool:
+        """Whether the measured base stands on the simulator's ground where windows begin."""
+        posed, found = PosedModel(self._platform.robots[0].loaded), list[float]()
+        for start in self._motion.starts:
+            at = {name: values[start] for name, values in self._measured.items()}
+            posed.put(at["joint_pos"], np.concatenate([at["base_pos_w"], at["base_quat"]]))
+            found.append(min(posed.heights().values(), default=0.0))
+        return bool(np.median(np.abs(found)) < LEVEL)
+
+    def _tilted(self, quat: Array, angles: Float64, sense: float) -> Float64:
+        """Return an attitude turned about its own axes, and with the ground or against it (−1)."""
+        if self._slope.any():
+            angles = angles + sense * (self._slope @ rotation(quat))
+        return _turned(quat, angles)
 
     def _commands(self, row: int) -> dict[str, Array]:
         sent = {name: values[row] for name, values in self._motion.commands.items()}
@@ -278,6 +305,9 @@ class Plant:
         self._gains = 1.0 + np.array([whole["stiffness"], whole["damping"]])
         self._bias = np.array([whole[f"gyro bias {axis}"] for axis in "xyz"])
         self._tilt = np.array([whole["attitude x"], whole["attitude y"], 0.0])
+        # Rotation of the ground, and gravity as it is seen from there.
+        self._slope = np.array([whole["slope y"], -whole["slope x"], 0.0])
+        model.opt.gravity[:] = self._gravity + np.cross(self._gravity, self._slope)
         moment = np.array([whole[f"centre of mass {axis}"] for axis in "xyz"])
         if self.base is not None and (whole["payload"] or whole["inertia"] or moment.any()):
             self._weigh(model, whole["payload"], moment, 1.0 + whole["inertia"])
