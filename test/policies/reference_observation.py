@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
 from collections.abc import Sequence
 from typing import Any
@@ -38,7 +39,7 @@ class ConcatenateObservation:
 
     def value(self, i: int, states: dict[str, NDArray[Any]]) -> NDArray[np.float32]:
         term = self.contract.terms[i]
-        value = states[term.state].astype(np.float32)
+        value = states[term.state].astype(np.float32) if term.value is None else term.value
         default = self.contract.default_joint_pos
         if term.state in self.joint_states:
             value = np.array([value[self.robot_joints.index(j)] for j in self.contract.joints])
@@ -67,6 +68,8 @@ class ConcatenateObservation:
         if spec.layout == "term_major":
             parts = [frame for history in histories for frame in history]
         else:
-            count = len(histories[0])
-            parts = [history[k] for k in range(count) for history in histories]
+            parts = []
+            for count, group in itertools.groupby(histories, len):
+                block = list(group)
+                parts += [history[k] for k in range(count) for history in block]
         return np.concatenate(parts)

@@ -160,8 +160,8 @@ def test_several_robots_get_what_each_would_alone(tmp_path: Path, batch: int | s
         np.testing.assert_allclose(many["action"][row], one["action"], rtol=1e-5, atol=1e-6)
 
 
-def test_a_tensor_without_a_batch_axis_is_refused(folder: Path) -> None:
-    shapes = {"history": [15], "latent": [5]}
+def test_a_tensor_without_a_width_is_refused(folder: Path) -> None:
+    shapes: dict[str, list[int | str]] = {"history": ["n"], "latent": [5]}
     encoder, weight = folder / "encoder.onnx", {"w": np.ones((15, 5))}
     write_graph(encoder, "latent = MatMul(history, w)", ["history"], shapes, weight)
     write_toy(folder, chained(recurrent=None))

@@ -188,10 +188,20 @@ ANGLE = "a number from -12.5664 to 12.5664 [rad] (are these degrees?)"
             "last",
         ),
         (
-            "layout: term_major\n  newest: last\n  terms:\n    - {name: ang_vel,",
-            "layout: frame_major\n  newest: last\n  terms:\n    - {name: ang_vel, history: 3,",
-            ":11: observation.layout is frame_major, but term 'ang_vel' has history 3 and term "
-            "'joint_pos' 1; give all terms one history, or use term_major",
+            "state: base_ang_vel, scale: 0.25",
+            "state: base_ang_vel, value: 2.0, scale: 0.25",
+            ":14: observation.terms.ang_vel.value is a constant and has a state; give one of state "
+            "and value",
+        ),
+        (
+            "name: ang_vel, state: base_ang_vel, scale: 0.25",
+            "name: ang_vel, value: [2.0, .nan]",
+            ":14: observation.terms.ang_vel.value.1 is nan; write a number",
+        ),
+        (
+            "name: ang_vel, state: base_ang_vel, scale: 0.25",
+            "name: ang_vel, value: []",
+            ":14: observation.terms.ang_vel.value is []; write a list of them",
         ),
         (
             "state: base_ang_vel, scale: 0.25",

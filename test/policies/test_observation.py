@@ -66,7 +66,7 @@ def contracts(draw: Any) -> PolicyContract:
     shared = draw(st.integers(1, 4))
     terms = []
     for i in range(draw(st.integers(1, 5))):
-        history = shared if layout == "frame_major" else draw(st.integers(1, 4))
+        history = draw(st.sampled_from([shared, shared, 1, 3]))
         terms.append(draw(term_values(f"t{i}", history)))
     return contract_of(
         observation={

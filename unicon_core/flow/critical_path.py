@@ -208,6 +208,7 @@ def reads_before_writes(root: Node, given: States) -> list[Finding]:
     """Find blocks whose first run reads or amends a state that nothing can have written by then.
 
     What is put off is not looked at: an observer may watch states that this robot does not have.
+    A policy's action `holds` that of the tick before, for the policies that run before it.
     """
     found = _Reads(root).walk(root, given, given)
     return list({(f.culprit, f.evidence): f for f in found}.values())
@@ -263,6 +264,8 @@ class _Reads:
                 if missing is None:
                     continue
                 writer = self.writers.get(missing)
+                if writer is not None and name in getattr(writer.tick, "holds", ()):
+                    continue
                 if writer is None:
                     evidence = f"{word} {missing!r}, which no block writes"
                     remedy = f"put a block before it that writes {missing!r}"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from math import isfinite, prod
+from math import isfinite
 from typing import TypeAlias
 
 import numpy as np
@@ -314,13 +314,12 @@ class Binding:
                 if canonical not in self.states:
                     continue
                 width = self.states[canonical].size // self.rows
-                axes = [axis for axis in tensor.shape[1:] if isinstance(axis, int)]
-                if len(axes) < len(tensor.shape[1:]) or prod(axes) != width:
+                if tensor.width != width:
                     raise self._fail(
                         f"output {tensor} does not fill state {canonical!r} of {width} elements; "
                         "correct 'outputs'"
                     )
-                values = np.zeros((self.rows, *axes), np.float32)
+                values = np.zeros((self.rows, width), np.float32)
             self.fetches[name] = values
             self._publish(canonical, values)
         return action
@@ -362,9 +361,6 @@ class Binding:
                     )
 
         def part(arrays: dict[str, Array], row: slice) -> dict[str, Array]:
-            return {
-                name: array[row].reshape(-1) if name in flat else array[row]
-                for name, array in arrays.items()
-            }
+            return {name: tensors[name].shaped(array[row]) for name, array in arrays.items()}
 
         return [self.network.bind(part(self.feeds, row), part(self.fetches, row)) for row in slices]

@@ -9,6 +9,7 @@ Most hints are those of `policy.yaml` (`file.py` has the others): how to write a
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,6 +30,7 @@ from unicon_base.schema.marks import (
 )
 from unicon_base.schema.types import Here
 from unicon_core.bounds import SCALE, Damping, Stiffness
+from unicon_core.policies.clock_rate import ClockRate
 from unicon_core.policies.hints import (
     LONGEST_FILTER,
     MOST_FRAMES,
@@ -97,7 +99,7 @@ class ObservationTerm:
     Attributes:
         name: the training side's name.
         state: the state that it is taken from; joint states are taken in policy order, and
-            `gait_phase` is all sines, then all cosines.
+            `gait_phase` is all sines, then all cosines. Of a constant it is `constant_NAME`.
         index: elements of the state (for joint states: of the policy order), or None for all.
         subtract: what is taken off before clipping, unit of the state: `"default_joint_pos"`,
             numbers of shape (1,) or (d,), or None.
@@ -105,10 +107,11 @@ class ObservationTerm:
         clip: lowest and highest value before scaling, shape (2, 1) or (2, d), or None.
         history: number of frames that the network sees, at least 1.
         filter: of the state's elements, before anything else; or None.
+        value: of a constant, shape (d,), in place of a state; or None.
     """
 
     name: Text
-    state: Text
+    state: Text = ""
     index: Places | None = None
     subtract: Literal["default_joint_pos"] | Annotated[Float32, each(float)] | None = None
     scale: Annotated[Float32, each(Annotated[float, Within(-SCALE, SCALE)])] = field(
@@ -117,6 +120,17 @@ class ObservationTerm:
     clip: Clip | None = None
     history: Annotated[int, Within(1, MOST_FRAMES)] = 1
     filter: FilterSpec | None = None
+    value: Annotated[Float32, each(float)] | None = None
+
+    @staticmethod
+    def between(found: AnyDict, here: Here) -> None:
+        """Note a constant that is taken from a state, too."""
+        if found.get("state") and found.get("value") is not None:
+            here.value("is a constant and has a state; give one of state and value", "value")
+
+    def __post_init__(self) -> None:
+        if self.value is not None:
+            object.__setattr__(self, "state", "constant_" + re.sub(r"\W", "_", self.name))
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +139,8 @@ class ObservationSpec:
 
     Attributes:
         terms: in the order of the input; empty where the network takes states one by one.
-        layout: `term_major` (each term's whole history together) or `frame_major` (whole frames).
+        layout: `term_major` (each term's whole history together) or `frame_major` (whole frames of
+            each group of neighbours that have one history; the groups follow each other).
         newest: where the newest frame stands in a history.
         start: what the older frames hold after a reset: the `first` observation, or `zeros`.
     """
@@ -137,16 +152,10 @@ class ObservationSpec:
 
     @staticmethod
     def between(found: AnyDict, here: Here) -> None:
-        """Note whole frames of terms that have different histories."""
-        terms = found.get("terms", ())
-        odd = [term for term in terms if term.history != terms[0].history]
-        if found.get("layout") == "frame_major" and odd:
-            here.value(
-                f"is frame_major, but term {terms[0].name!r} has history {terms[0].history} and "
-                f"term {odd[0].name!r} {odd[0].history}; give all terms one history, or use "
-                "term_major",
-                "layout",
-            )
+        """Note constants of one name, whose states would be one."""
+        names = [term.state for term in found.get("terms", ()) if term.value is not None]
+        for name in dict.fromkeys(n for n in names if names.count(n) > 1):
+            here.value(f"has several constants {name!r}; give each a name of its own", "terms")
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,6 +240,7 @@ class PhaseSpec:
         resume: where they go on once the command is no longer zero: at the `offsets`, from where
             they `stand`, or where the `clock` is, which ran on meanwhile; None: the usual one of
             `stand`, which are these in turn for a value, `freeze` and `zero`.
+        rate: what the clock's speed follows, or None for 1 / period.
     """
 
     period: Period
@@ -239,6 +249,7 @@ class PhaseSpec:
     stand_below: Threshold = _STILL
     command: Text = "velocity_command"
     resume: Literal["offsets", "stand", "clock"] | None = None
+    rate: ClockRate | None = None
 
     @staticmethod
     def between(found: AnyDict, here: Here) -> None:

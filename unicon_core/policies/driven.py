@@ -77,7 +77,7 @@ class DrivenPolicy:
             )
         self.places, self.hidden = places, hidden
         self.reads, self.writes = self.policy.reads, self.policy.writes
-        self.endless = self.policy.endless
+        self.endless, self.holds = self.policy.endless, self.policy.holds
         self.every_tick = getattr(self.policy, "every_tick", False)
         targets = [name for name in self.writes if name in COMMAND_STATES]
         brought = spans(states.layout, {*self.reads, *targets})

@@ -221,7 +221,8 @@ def missing_facts(facts: Facts) -> dict[str, str]:
     if isinstance(inputs := values.get("inputs"), Mapping) and "observation" not in inputs:
         missing.pop(place, None)
     for term in terms if isinstance(terms, list) else []:
-        if dig(term, "name") is not None and term.get("state") is None:
+        said = [dig(term, key) is not None for key in ("name", "state", "value")]
+        if said == [True, False, False]:
             missing[f"observation.terms.{term['name']}.state"] = "the state that it is taken from"
     for name, detail in facts.asks.items():
         missing[name] = "; ".join(filter(None, (_ASKED.get(name, ""), detail)))

@@ -276,7 +276,7 @@ class _Mistakes(Mistakes):
     """The mistakes of facts, but for facts that are missing, which `missing_facts` asks for."""
 
     def missing(self, where: Where, key: str, wanted: str) -> None:
-        if not where or key in ("scale", "state"):
+        if not where or key == "scale":
             self.found.append((where, ""))
         else:
             super().missing(where, key, wanted)

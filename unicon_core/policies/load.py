@@ -168,7 +168,7 @@ def _locate(reference: str | Path) -> Path:
         if found is None:
             raise PolicyError(f"policy {text!r} (entry point {known[text].value}) returned no path")
         path = found
-    elif "/" in text or Path(text).suffix in (".yaml", ".onnx", *TORCHSCRIPT):
+    elif "/" in text or Path(text).suffix in (".yaml", ".onnx", ".mnn", *TORCHSCRIPT):
         path = find_resource(text, "policy", error=PolicyError)
     else:
         raise PolicyError(
@@ -202,7 +202,7 @@ def _main_file(folder: Path) -> Path | None:
     models = (
         _configurations(folder)
         or models
-        or sorted(p for p in folder.glob("*") if p.suffix in TORCHSCRIPT)
+        or sorted(p for p in folder.glob("*") if p.suffix in (*TORCHSCRIPT, ".mnn"))
     )
     return models[0] if len(models) == 1 else None
 
@@ -266,7 +266,7 @@ def _yaml(path: Path) -> Located:
 
 
 def _facts_of(path: Path, robot: Robot | None, given: AnyMapping) -> Facts:
-    if path.suffix == ".onnx":
+    if path.suffix in (".onnx", ".mnn"):
         onnx = read_onnx(path)
         for beside in ("policy.yaml", "deploy.yaml", "../params/deploy.yaml"):
             other = path.parent / beside

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -104,14 +105,12 @@ class Observation:
         """Lay out a ring of 2·H frames; the last H frames always stand in one piece in it."""
         h, d = self._history, self.frame_size
         self._ring = np.zeros((2 * h, rows * d), np.float32)
-        frames: list[tuple[int, int, TermSlice]] = []  # (age of the frame, order, term)
-        for order, part in enumerate(self.slices):
-            frames += [(age, order, part) for age in range(part.term.history)]
         sign = -1 if spec.newest == "last" else 1
-        if spec.layout == "term_major":
-            frames.sort(key=lambda f: (f[1], sign * f[0]))
-        else:
-            frames.sort(key=lambda f: (sign * f[0], f[1]))
+        frames: list[tuple[int, int, TermSlice]] = []  # (age of the frame, order, term)
+        whole = spec.layout == "term_major"  # a term's history, else frames of a group of terms
+        for _, group in groupby(enumerate(self.slices), lambda each: each[1].term.history):
+            block = [(age, *part) for part in group for age in range(part[1].term.history)]
+            frames += sorted(block, key=lambda f: (whole and f[1], sign * f[0]))
         columns = np.arange(rows)[:, None] * d
         # Within the window frame H − 1 is the newest.
         self._window_index = np.concatenate(

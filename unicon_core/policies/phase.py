@@ -13,6 +13,7 @@ From google-deepmind/mujoco_playground, joystick tasks: both stand at π, and go
 From unitreerobotics/unitree_rl_lab, `mdp/observations.h`: one phase, no standing, [sin, cos].
 From BoosterRobotics/booster_gym, T1: one phase, fmod(time · frequency, 1); while the command is
 zero, sine and cosine are 0; the time runs on meanwhile in deployment, and stands in training.
+`clock_rate.py` has the source of clocks that a state speeds up.
 """
 
 from __future__ import annotations
@@ -73,13 +74,22 @@ class GaitPhase:
         runs_on = spec.stand is not None and self._resume == "clock"
         self._clock = self.phase.copy() if runs_on else self.phase
         self._standing = np.zeros(rows, bool)
+        self._rate = rate = spec.rate
+        if rate is not None:
+            if rate.state not in states or states[rate.state].size <= rate.index * rows:
+                raise PolicyError(
+                    f"gait phase: its rate is element {rate.index} of state {rate.state!r}, which "
+                    "is not there; correct phase.rate"
+                )
+            self.reads = (rate.state,)
+            self._rates = states[rate.state].reshape(rows, -1)[:, rate.index :][:, :1]
         if spec.stand is not None:
             if spec.command not in states or states[spec.command].size != rows * 3:
                 raise PolicyError(
                     f"gait phase: it stands still while state {spec.command!r} (vx, vy, wz) is "
                     "zero, and there is no such state of 3 elements; correct phase.command"
                 )
-            self.reads = (spec.command,)
+            self.reads += (spec.command,)
             self._command = states[spec.command].reshape(rows, 3)
 
     def reset(self) -> None:
@@ -91,7 +101,10 @@ class GaitPhase:
         """Advance by one control period and write the states."""
         phase, clock = self.phase, self._clock
         before = None if self._stand is None else phase.copy()
-        clock += self._step + np.pi
+        step: float | Float64 = self._step
+        if self._rate is not None:
+            step = step * (self._rate.offset + self._rate.scale * self._rates.astype(np.float64))
+        clock += step + np.pi
         np.fmod(clock, 2.0 * np.pi, out=clock)
         clock -= np.pi
         if before is not None:

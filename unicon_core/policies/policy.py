@@ -15,6 +15,7 @@ from unicon_core.policies.action_map import ActionMap
 from unicon_core.policies.bind import Binding
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.controller import PackedStates
+from unicon_core.policies.derived import RPY, RollPitchYaw, derived_states
 from unicon_core.policies.motion.follow import own_reference, tracker_of
 from unicon_core.policies.networks import Network, open_network
 from unicon_core.policies.phase import GaitPhase
@@ -44,6 +45,7 @@ class Policy:
         name: of the policy.
         reads: states that the observation is taken from.
         writes: states that are written.
+        holds: its action, which others may read before it runs: that of its last tick.
         action_map: what turns the action into targets.
         lane: arrays and bound calls.
         tracker: of the motion that it follows, or None.
@@ -121,7 +123,8 @@ class Policy:
         self.phase: GaitPhase | None = None
         if contract.phase is not None and "gait_phase" in states:
             self.phase = GaitPhase(contract.phase, states, contract.period)
-        self._before = tuple(part for part in (self.slew, self.phase) if part is not None)
+        angles = RollPitchYaw(states) if RPY in derived_states(contract) else None
+        self._before = tuple(part for part in (angles, self.slew, self.phase) if part is not None)
         self.tracker = tracker_of(contract, states, robot, self.lane, model)
         self.endless = self.tracker is None or self.tracker.ticks is None
         self._motion = own_reference(contract, states)
@@ -129,6 +132,7 @@ class Policy:
         self.reads, self.writes = reads_writes(
             contract, states, self._before, self.tracker, targets
         )
+        self.holds = (f"{prefix}action",)
 
     def __call__(self, warm_up: bool = False) -> bool:
         """Run one tick, or take its path and discard the result.

@@ -12,7 +12,8 @@ from math import prod
 from unicon_base.arrays import Array
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.controller import PackedStates, PrefixedStates
-from unicon_core.policies.motion.follow import MotionTracker
+from unicon_core.policies.derived import RollPitchYaw, derived_states
+from unicon_core.policies.motion.follow import MotionClock
 from unicon_core.policies.networks.onnx import chained_outputs
 from unicon_core.policies.observation import Observation
 from unicon_core.policies.phase import COMMAND, SLEWED, CommandSlew, GaitPhase
@@ -38,7 +39,7 @@ def policy_states(
     Raises:
         PolicyError: a term takes a state that is neither standard, nor extra, nor the policy's own.
     """
-    own = _own_states(contract)
+    own = states_of(contract)
     if contract.terms:
         specs = {**standard_states(robot_joints), **(extra or {}), **own}
         size = Observation(contract, States(specs), robot_joints).size
@@ -46,10 +47,12 @@ def policy_states(
     return {f"{prefix}{name}": spec for name, spec in own.items()}
 
 
-def _own_states(contract: PolicyContract) -> dict[str, StateSpec]:
+def states_of(contract: PolicyContract) -> dict[str, StateSpec]:
+    """Return the states of a policy without a prefix, but for `observation`."""
     joints = contract.action.joints
     text = "the network's last output, policy order"
     states = {"action": StateSpec((len(joints),), names=joints, description=text)}
+    states |= derived_states(contract)
     if contract.child is not None:
         text = "since the observation of the action that is held"
         states["action_age"] = StateSpec((), "float32", "s", "", (), text)
@@ -71,7 +74,7 @@ def _own_states(contract: PolicyContract) -> dict[str, StateSpec]:
     if more and not contract.is_torchscript:
         tensors = chained_outputs(contract)
         for name, output in more.items():
-            axes = tensors[output].shape[1:] if output in tensors else ()
+            axes = tensors[output].row if output in tensors else ()
             size = prod(axis if isinstance(axis, int) else 1 for axis in axes)
             joints = contract.joints if name.startswith("motion_joint_") else ()
             names = joints if len(joints) == size else ()
@@ -92,6 +95,7 @@ def _followed(contract: PolicyContract) -> dict[str, StateSpec]:
     joints, xyz, upright = contract.joints, ("x", "y", "z"), (1.0, 0.0, 0.0, 0.0)
     columns = tuple(f"{axis}{side}" for axis in xyz for side in "xy")
     rows = (
+        ("phase", "", "", ("share",), "time since the first frame, as a share of the last one's"),
         ("joint_pos", "rad", "", joints, "reference joint positions, policy order"),
         ("joint_vel", "rad/s", "", joints, "reference joint velocities, policy order"),
         ("anchor_pos", "m", "world", xyz, "where the reference's anchor is"),
@@ -101,7 +105,7 @@ def _followed(contract: PolicyContract) -> dict[str, StateSpec]:
          "reference's rotation there: two columns, row by row"),
         ("error", "rad", "", ("joints", "anchor"), "from the reference: rms, angle"),
     )  # fmt: skip
-    return {
+    states = {
         "motion_command": _reference_command(2 * len(joints)),
         "motion_time": StateSpec((), "float32", "s", "", (), "since the motion's first frame"),
         **{
@@ -109,6 +113,9 @@ def _followed(contract: PolicyContract) -> dict[str, StateSpec]:
             for name, unit, frame, names, *more in rows
         },
     }
+    if contract.motion is not None and contract.motion.duration is not None:
+        return {name: states[name] for name in ("motion_time", "motion_phase")}
+    return states
 
 
 def own_states(
@@ -130,6 +137,8 @@ def own_states(
 def fed_back(contract: PolicyContract, states: PackedStates) -> list[Array]:
     """Return the outputs that a policy sees in its next tick: its action, and states it reads."""
     read = {*contract.inputs, *(term.state for term in contract.terms)}
+    if contract.phase is not None and contract.phase.rate is not None:
+        read.add(contract.phase.rate.state)
     names = ["action", *(name for name in contract.outputs if name in read and name != "action")]
     return [states[name] for name in names if name in states]
 
@@ -137,8 +146,8 @@ def fed_back(contract: PolicyContract, states: PackedStates) -> list[Array]:
 def reads_writes(
     contract: PolicyContract,
     states: PackedStates,
-    before: Sequence[CommandSlew | GaitPhase],
-    tracker: MotionTracker | None,
+    before: Sequence[RollPitchYaw | CommandSlew | GaitPhase],
+    tracker: MotionClock | None,
     targets: Sequence[str],
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return names as they are declared: what the policy takes from others, and what it writes.
@@ -150,7 +159,7 @@ def reads_writes(
         tracker: what follows a motion, or None.
         targets: command states that are written.
     """
-    own = ["observation", "action"]
+    own = ["observation", "action", *derived_states(contract)]
     own += [name for part in before for name in part.writes]
     own += [*contract.outputs, "motion_command"]
     read = [name for part in before for name in part.reads]

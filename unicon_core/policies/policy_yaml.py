@@ -196,7 +196,11 @@ def _plain(value: Any, alone: bool = False) -> Any:
             usual = each.default_factory()
         empty = said is None or (isinstance(said, tuple | Mapping) and not said)
         if not empty and not (isinstance(value, _BRIEF) and np.array_equal(said, usual)):
-            found[each.name] = _plain(said, isinstance(value, ObservationTerm))
+            found[each.name] = _plain(
+                said, isinstance(value, ObservationTerm) and each.name != "value"
+            )
+    if "value" in found:  # of a constant, whose state follows from its name
+        found.pop("state", None)
     return found
 
 

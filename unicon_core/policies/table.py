@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from itertools import accumulate
+from itertools import groupby
 
 from unicon_base import AnyDict, PolicyError
 from unicon_base.arrays import Float32
@@ -86,8 +86,9 @@ def policy_table(contract: PolicyContract, robot: Robot | None = None) -> str:
         stand = contract.phase.stand
         words = {"None": "keeps running", "freeze": "stands still", "zero": "sine and cosine are 0"}
         still = words.get(str(stand)) or f"stands at {figure(float(stand or 0), '.4g')} rad"
+        speed = "" if contract.phase.rate is None else f", its speed times {contract.phase.rate}"
         lines.append(
-            f"gait phase   period {contract.phase.period:g} s, offsets {offsets} rad, "
+            f"gait phase   period {contract.phase.period:g} s{speed}, offsets {offsets} rad, "
             f"{still} without a command"
         )
     lines += [f"note         {note}" for note in contract.notes]
@@ -196,20 +197,36 @@ def observation_rows(
 def input_places(contract: PolicyContract, slices: Sequence[TermSlice]) -> list[str]:
     """Return where each term stands in the network's input, as `[0:15]`.
 
-    In layout `frame_major`, where whole frames follow each other, `frame[0:3]`: its place in each.
+    In layout `frame_major`, where whole frames follow each other, `frame[0:3]`: its place in each;
+    with several histories, `[0:280]` with it are the frames of the neighbours that have one.
 
     Args:
         contract: the policy.
         slices: its terms, of `term_slices`.
     """
-    if contract.observation.layout == "frame_major":
-        return [f"frame[{part.start}:{part.stop}]" for part in slices]
-    sizes = [part.elements.size * part.term.history for part in slices]
-    return [f"[{stop - size}:{stop}]" for size, stop in zip(sizes, accumulate(sizes))]
+    places: list[str] = []
+    start, groups = 0, [[*parts] for _, parts in groupby(slices, lambda p: p.term.history)]
+    for group in groups:
+        first, history = group[0].start, group[0].term.history
+        stop = start + history * (group[-1].stop - first)
+        frames = contract.observation.layout == "frame_major" and (history > 1 or len(groups) == 1)
+        within = f"[{start}:{stop}] " if len(groups) > 1 else ""
+        for part in group:
+            size = part.elements.size * history
+            places.append(
+                f"{within}frame[{part.start - first}:{part.stop - first}]"
+                if frames
+                else f"[{start}:{start + size}]"
+            )
+            start += 0 if frames else size
+        start = stop
+    return places
 
 
 def _source(part: TermSlice) -> str:
-    index = part.term.index
+    index, value = part.term.index, part.term.value
+    if value is not None:
+        return f"constant {', '.join(map(figure, value))}"
     source = part.term.state + ("" if index is None else f"[{','.join(map(str, index))}]")
     return source if part.term.filter is None else f"{source}, {part.term.filter}"
 

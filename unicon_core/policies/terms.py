@@ -56,7 +56,7 @@ def term_slices(
     Args:
         contract: the policy.
         states: the states; a state whose element names are the robot's joints is taken in policy
-            order.
+            order, and so is another policy's action, of the joints that this policy moves.
         robot_joints: the robot's joint order.
         spec: another observation than the contract's own.
 
@@ -76,12 +76,14 @@ def term_slices(
             text = f"state {term.state!r} is {dtype}; a network takes float32 states"
             raise PolicyError(f"{label}: {text}")
         names, elements = tuple(state.names), np.arange(state.size, dtype=np.intp)
-        if names == tuple(robot_joints) and term.state != "action":
+        whole = {*names} == {*robot_joints}
+        own = contract.joints if whole else contract.action.joints
+        if term.state != "action" and (whole or {*names} == {*own}):
             try:
-                elements = joint_index(contract.joints, names)
+                elements = joint_index(own, names)
             except RobotError as error:
                 raise PolicyError(f"{label}: the robot has {error}") from error
-            names = contract.joints
+            names = own
         subtract = 0.0 if term.subtract is None else term.subtract
         default = contract.default_joint_pos if names == contract.joints else None
         if term.index is not None:

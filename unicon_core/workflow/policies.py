@@ -17,6 +17,7 @@ from unicon_core.policies.action_map import lacking_joints
 from unicon_core.policies.contract import ChildSpec
 from unicon_core.policies.controller import ControllerContract, controller_contract, prefix_of
 from unicon_core.policies.driven import DrivenPolicy
+from unicon_core.policies.policy_states import states_of
 from unicon_core.robots import Robot
 from unicon_core.states import States, StateSpec
 from unicon_core.workflow.autowire import BuildContext
@@ -116,6 +117,9 @@ def declared_states(
         extra: the workflow's own states, which terms may read.
     """
     name = used_policy(use, policies)
+    for other, contract in policies.items():  # such as its last action, which terms may read
+        prefix = prefix_of(other, policies)
+        extra = {**extra, **{f"{prefix}{key}": s for key, s in states_of(contract).items()}}
     return policy_states(policies[name], robot.joint_names, extra, prefix=prefix_of(name, policies))
 
 

@@ -21,7 +21,7 @@ from unicon_core.policies.facts import Facts, dig, value_of
 from unicon_core.policies.hints import ClipBound, listed
 from unicon_core.robots import Robot
 
-_SUFFIXES = {".onnx": "onnx", **dict.fromkeys(TORCHSCRIPT, "torchscript")}
+_SUFFIXES = {".onnx": "onnx", ".mnn": "onnx", **dict.fromkeys(TORCHSCRIPT, "torchscript")}
 RENAMED_RANGES = {"ang_vel_yaw": "ang_vel_z"}
 """A command's name in legged_gym and holosoma to its name in a contract."""
 _ALL = "slice(None, None, None)"  # as Isaac Lab dumps it

@@ -40,7 +40,56 @@ _ORIGIN: Vector = (0.0, 0.0, 0.0)
 _UP: Vector = (0.0, 0.0, 1.0)
 
 
-class MotionTracker:
+class MotionClock:
+    """Writes `motion_time` [s] and `motion_phase`, its share of the end, from 0 to 1.
+
+    From fan-ziqi/rl_sar `rl_sdk.cpp` (RoboMimic_Deploy/phase) and LeCAR-Lab/ASAP
+    (ref_motion_phase): time since the first frame over the duration.
+
+    Args:
+        contract: with a motion.
+        states: that hold both.
+        end: in [s] since the first frame, or None for a motion without an end.
+
+    Attributes:
+        ticks: after which it is done, or None.
+        done: the last frame was shown.
+        reads: states of the robot that are read.
+        writes: states that are written.
+    """
+
+    memory: tuple[str, ...] = ("done", "_tick")
+    reads: tuple[str, ...] = ()
+
+    def __init__(self, contract: PolicyContract, states: PackedStates, end: float | None) -> None:
+        spec = contract.motion
+        assert spec is not None
+        self._period, self._start, self._end = contract.period, spec.start, end
+        self._hold = hold = round(spec.hold / contract.period)
+        self.ticks: int | None = None
+        self.writes: tuple[str, ...] = ("motion_time",)
+        if end is not None:
+            # As many whole periods as reach the end; rounding of the period adds none.
+            self.ticks = hold + math.ceil((end - spec.start) / contract.period - 1e-6) + 1
+            self.writes += ("motion_phase",)
+        self._time, self._phase = states["motion_time"], states["motion_phase"]
+        self.done, self._tick = False, 0
+
+    def __call__(self) -> None:
+        """Write time and phase of this tick."""
+        time = self._start + max(self._tick - self._hold, 0) * self._period
+        self._time[...] = time
+        if self._end is not None:
+            self._phase[...] = min(time / self._end, 1.0) if self._end else 1.0
+        self._tick += 1
+        self.done = self.ticks is not None and self._tick >= self.ticks
+
+    def reset(self) -> None:
+        """Begin the motion anew."""
+        self._tick, self.done = 0, False
+
+
+class MotionTracker(MotionClock):
     """Writes the `motion_*` states of a policy, once in each of its ticks.
 
     Args:
@@ -51,17 +100,11 @@ class MotionTracker:
         chain: from the base to the anchor, or None where no state of the anchor is wanted.
         length: number of frames from the start, or None for a motion without an end.
 
-    Attributes:
-        ticks: after which it is done, or None.
-        done: the last frame was shown.
-        reads: states of the robot that are read.
-        writes: states that are written.
-
     Raises:
         PolicyError: what a term reads cannot be told.
     """
 
-    memory = ("done", "_tick", "_begun", "_turn", "_shift")
+    memory = (*MotionClock.memory, "_begun", "_turn", "_shift")
 
     def __init__(
         self,
@@ -74,11 +117,9 @@ class MotionTracker:
     ) -> None:
         spec = contract.motion
         assert spec is not None
-        self._period, self._start, self._align = contract.period, spec.start, spec.align == "yaw"
-        self._clip, self._chain = clip, chain
-        self._hold = hold = round(spec.hold / contract.period)
-        self.ticks = None if length is None else length + hold
-        self.done, self._tick = False, 0
+        end = None if length is None else spec.start + (length - 1) * contract.period
+        super().__init__(contract, states, end)
+        self._align, self._clip, self._chain = spec.align == "yaw", clip, chain
         rows = self._rows = states.num_robots or 1
 
         def view(name: str) -> Float32:
@@ -89,11 +130,11 @@ class MotionTracker:
         self._own = joint_index(contract.joints, robot_joints)
         self._reference = tuple(map(view, _REFERENCE))
         self._command = view("motion_command")
-        self._time, self._error = states["motion_time"], view("motion_error")
+        self._error = view("motion_error")
         self._off = np.zeros((rows, len(contract.joints)), np.float32)
         self._quats, self._places = _anchor_source(contract, states, clip, rows)
-        self.reads: tuple[str, ...] = ("joint_pos",)
-        self.writes: tuple[str, ...] = ("motion_command", "motion_time", "motion_error")
+        self.reads = ("joint_pos",)
+        self.writes += ("motion_command", "motion_error")
         self.writes += _REFERENCE if clip is not None else ()
         self._anchor, self._position = (tuple(map(view, names)) for names in (_TURNS, _PLACES))
         if chain is not None:
@@ -130,7 +171,6 @@ class MotionTracker:
             pos[...], vel[...] = clip.joint_pos[frame], clip.joint_vel[frame]
         n = pos.shape[1]
         self._command[:, :n], self._command[:, n:] = pos, vel
-        self._time[...] = self._start + tick * self._period
         np.take(self._joint_pos, self._own, axis=1, out=self._off)
         self._off -= pos
         self._error[:, 0] = np.sqrt(np.einsum("ij,ij->i", self._off, self._off) / n)
@@ -138,8 +178,7 @@ class MotionTracker:
             for row in range(self._rows):
                 self._compare(row, self._chain, *self._pose(row, tick))
             self._begun = True
-        self._tick += 1
-        self.done = self.ticks is not None and self._tick >= self.ticks
+        super().__call__()
 
     def _pose(self, row: int, tick: int) -> tuple[Vector, Quat]:
         """Return the reference's anchor in the motion's world."""
@@ -182,7 +221,8 @@ class MotionTracker:
 
     def reset(self) -> None:
         """Begin the motion anew, wherever the robot is in the next tick."""
-        self._tick, self._begun, self.done = 0, False, False
+        super().reset()
+        self._begun = False
 
 
 Published = Callable[[int, int], Any]
@@ -245,7 +285,7 @@ def tracker_of(
     robot: Robot,
     lane: PolicyStep,
     model: Path | None,
-) -> MotionTracker | None:
+) -> MotionClock | None:
     """Return what writes the motion's states, None for a policy that follows none.
 
     Args:
@@ -261,6 +301,8 @@ def tracker_of(
     spec = contract.motion
     if spec is None:
         return None
+    if spec.duration is not None:
+        return MotionClock(contract, states, spec.duration)
     joints = tuple(robot.joint_names)
     wanted = {term.state for term in contract.terms} | set(contract.inputs)
     if spec.file is not None:
@@ -282,6 +324,11 @@ def tracker_of(
         length = round((spec.end - spec.start) / contract.period) + 1
     elif "time_step" in contract.inputs:
         length = _length(lane, states, contract)
+    if length is None and "motion_phase" in wanted:
+        raise PolicyError(
+            f"policy {contract.name}: motion_phase is a share of the motion, whose end nothing "
+            "tells; give motion.end in [s]"
+        )
     return MotionTracker(contract, states, joints, None, found, length)
 
 

@@ -38,11 +38,13 @@ class MotionSpec:
             with it hold it (amazon-far/holosoma: `freeze_at_timestep_zero_prob`).
         fps: frames in a second of a file, or None: as the file says, 30 of a `.csv`.
         joints: the file's joints in order, `policy`, `robot`, or None: as its format has it.
+        duration: of a motion of which the policy sees no more than `motion_phase`, in [s], in place
+            of `anchor_body`; or None.
         chain: joint to axis (`x`, `-y`, …) from the base to the anchor, for a robot without a
             model; empty: as the model has it.
     """
 
-    anchor_body: Annotated[Text, Write("a body, as torso_link")]
+    anchor_body: Annotated[Text, Write("a body, as torso_link")] = ""
     file: Annotated[Path | None, Write("a .npz or .csv file")] = None
     bodies: Annotated[tuple[Text, ...], Checked(twice)] = ()
     align: Literal["yaw", "none"] = "yaw"
@@ -52,10 +54,21 @@ class MotionSpec:
     fps: Annotated[float | None, Within(1.0, 10_000.0, "Hz")] = None
     joints: Literal["policy", "robot"] | Names | None = None
     chain: Mapping[str, Literal["x", "y", "z", "-x", "-y", "-z"]] = field(default_factory=dict)
+    duration: MotionTime | None = None
 
     @staticmethod
     def between(found: AnyDict, here: Here) -> None:
-        """Note an end before the start."""
-        start, end = found.get("start", 0.0), found.get("end")
-        if end is not None and end <= start:
-            here.value(f"is {end:g} s and start {start:g} s; end after the start", "end")
+        """Note an end before the start, and other than one of anchor_body and duration."""
+        start = found.get("start", 0.0)
+        for key in ("end", "duration"):
+            end = found.get(key)
+            if end is not None and end <= start:
+                here.value(f"is {end:g} s and start {start:g} s; end after the start", key)
+        said = {key for key, value in here.written.items() if value is not None}
+        if "duration" not in said and "anchor_body" not in said:
+            here.value(
+                "needs anchor_body, by which reference and robot are compared, or duration in [s] "
+                "where the policy sees motion_phase alone"
+            )
+        elif "duration" in said and (more := said - {"duration", "start", "hold"}):
+            here.value(f"stands beside {min(more)}; only start and hold go with it", "duration")

@@ -220,9 +220,9 @@ class ChainedNetworks:
         return PolicyError(f"policy {self._name}: {message}")
 
     def _row(self, tensor: Tensor) -> int:
-        """Return the width of a tensor that is (batch, width)."""
+        """Return how many values of one robot a tensor has."""
         width = tensor.width
-        if tensor.dtype != "float32" or len(tensor.shape) != 2 or not isinstance(width, int):
+        if tensor.dtype != "float32" or not isinstance(width, int):
             raise self._fail(f"feeds: {tensor} is not (batch × width) of float32; export it so")
         return width
 
@@ -270,7 +270,8 @@ class ChainedNetworks:
                 if tensor.name not in feeds:
                     taken[tensor.name] = inputs[_named(name, tensor).name]
                     continue
-                taken[tensor.name] = whole = np.zeros((rows, int(tensor.width)), np.float32)
+                whole = np.zeros((rows, int(tensor.width)), np.float32)
+                taken[tensor.name] = tensor.shaped(whole)
                 start = 0
                 for feed in feeds[tensor.name]:
                     source = arrays[feed.source].reshape(rows, -1)[:, feed.start : feed.stop]
@@ -282,7 +283,7 @@ class ChainedNetworks:
                 if key in wanted and key not in arrays:
                     arrays[key] = np.zeros((rows, int(tensor.width)), np.float32)
                 if key in arrays:
-                    given[tensor.name] = arrays[key]
+                    given[tensor.name] = tensor.shaped(arrays[key])
             steps.append(network.bind(taken, given))
 
         def run() -> None:

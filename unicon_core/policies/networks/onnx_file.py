@@ -11,6 +11,7 @@ import os
 from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from math import prod
 from pathlib import Path
 from typing import Protocol, TypeAlias, runtime_checkable
 
@@ -33,13 +34,28 @@ class Tensor:
         return bool(self.shape) and not isinstance(self.shape[0], int)
 
     @property
+    def row(self) -> tuple[int | str, ...]:
+        """Axes of one robot: all but the first one, which vectors and scalars have not."""
+        return self.shape[1:] if len(self.shape) > 1 else self.shape
+
+    @property
     def width(self) -> int | str:
-        """The last axis; 1 of a scalar."""
-        return self.shape[-1] if self.shape else 1
+        """Number of values of one robot, or the name of a free axis."""
+        free = [axis for axis in self.row if isinstance(axis, str)]
+        return free[0] if free else prod(axis for axis in self.row if isinstance(axis, int))
 
     def takes(self, size: int) -> bool:
-        """Whether the last axis has this length, or is free."""
-        return not isinstance(self.width, int) or self.width == size
+        """Whether it takes this many values of one robot; one free axis takes what is left."""
+        fixed = prod(axis for axis in self.row if isinstance(axis, int))
+        free = sum(isinstance(axis, str) for axis in self.row)
+        return size == fixed if free == 0 else free == 1 and fixed > 0 and size % fixed == 0
+
+    def shaped(self, rows: Array) -> Array:
+        """Return a view of contiguous rows, shape (n, …), with the axes of the tensor."""
+        if len(self.shape) < 2:
+            return rows.reshape(-1 if self.shape else ())
+        axes = [axis if isinstance(axis, int) else -1 for axis in self.row]
+        return rows.reshape(len(rows), *axes) if axes.count(-1) < 2 else rows
 
     def __str__(self) -> str:
         axes = " × ".join(str(axis) or "?" for axis in self.shape)
@@ -136,6 +152,9 @@ def read_onnx(path: Path) -> OnnxFile:
     Raises:
         PolicyError: no such file, or it is not an ONNX model.
     """
+    if path.suffix == ".mnn":
+        text = "is a network for MNN, which cannot be run here; export the trained network as ONNX"
+        raise PolicyError(f"{path}: {text} (torch.onnx.export)")
     if not os.path.isfile(path):
         raise PolicyError(f"{path}: no such ONNX file; put it there or correct the path")
     data = path.read_bytes()
