@@ -32,6 +32,7 @@ from unicon_core.policies.importers.formats import (
     metadata_reader,
     settled,
 )
+from unicon_core.policies.importers.python_config import read_python
 from unicon_core.policies.importers.source import Source
 from unicon_core.policies.networks.onnx_file import OnnxFile, read_onnx
 from unicon_core.policies.policy_yaml import (
@@ -282,7 +283,7 @@ def _facts_of(path: Path, robot: Robot | None, given: AnyMapping) -> Facts:
         return Facts(path, "ONNX file (no metadata)", {"onnx": path.name})
     if path.suffix in TORCHSCRIPT:
         return Facts(path, "TorchScript file", {"torchscript": path.name})
-    located = _yaml(path)
+    located = read_python(path) if path.suffix == ".py" else _yaml(path)
     made_for = given.get("robot")
     if isinstance(made_for, str) and counts_motors(located.value):
         robot = load_robot(made_for)  # whichever robot runs the policy

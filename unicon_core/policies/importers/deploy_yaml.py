@@ -162,6 +162,7 @@ def _is_term(value: Any) -> bool:
     return isinstance(value, Mapping) and any(key in value for key in _KEYS)
 
 
+_PHASE = "RoboMimic_Deploy/phase"
 # A term's name -> the state, the key of its scale and its number of elements; 0: all joints.
 _rl_TERMS: dict[str, tuple[str, str, int]] = {
     "lin_vel": ("base_lin_vel", "lin_vel_scale", 3),
@@ -173,6 +174,7 @@ _rl_TERMS: dict[str, tuple[str, str, int]] = {
     "actions": ("action", "", 0),
     "whole_body_tracking/motion_command": ("motion_command", "", 0),
     "whole_body_tracking/motion_anchor_ori_b": ("motion_anchor_ori_b", "", 6),
+    _PHASE: ("motion_phase", "", 1),
 }
 _rl_GAINS = {"stiffness": "rl_kp", "damping": "rl_kd", "default_joint_pos": "default_dof_pos"}
 
@@ -323,6 +325,9 @@ def _rl_motion(source: Source, count: int) -> None:
     """Note the motion of whole-body tracking: rows in the robot's order, compared at the torso."""
     file, names = map(source.document.get, ("motion_file", "joint_names"))
     period = source.facts.values.get("period")
+    if _PHASE in source.need("observations"):  # counted from 1, to a duration in fsm_g1.hpp
+        start = f", start: {period:g}" if period else ""
+        source.facts.asks["motion"] = f"{{duration: of the motion in [s]{start}}}"
     if file is None or not isinstance(names, list) or not period:
         return
     waist = source.places("waist_joint_indices", count)

@@ -9,6 +9,7 @@ from typing import Any
 
 from unicon_base import AnyMapping, PolicyError
 from unicon_core.policies.facts import Facts, says
+from unicon_core.policies.importers.bipeds import agibot_facts, humanoid_gym_facts, limx_facts
 from unicon_core.policies.importers.deploy_programs import booster_facts, unitree_rl_gym_facts
 from unicon_core.policies.importers.deploy_yaml import deploy_yaml_facts, refuse_base, rl_sar_facts
 from unicon_core.policies.importers.env_yaml import env_yaml_facts, legged_gym_facts
@@ -48,7 +49,15 @@ _NAMES = {"joint_names": ",".join, "dof_names": json.dumps}
 _CONFIGURATIONS: dict[tuple[str, ...], Callable[[Source], Facts]] = {
     ("joint_ids_map", "step_dt"): deploy_yaml_facts,
     ("sim", "decimation", "observations"): env_yaml_facts,
+    (
+        "init_state.default_joint_angles",
+        "control",
+        "env.frame_stack",
+        "rewards.cycle_time",
+    ): humanoid_gym_facts,
     ("control", "init_state.default_joint_angles"): legged_gym_facts,
+    ("PointfootCfg.size.encoder_output_size",): limx_facts,
+    ("control_frequecy", "controllers"): agibot_facts,
     ("*.observations", "*.rl_kp"): rl_sar_facts,
     ("*.joint_names", "*.joint_mapping"): refuse_base,
     ("kps", "kds", "default_angles"): unitree_rl_gym_facts,

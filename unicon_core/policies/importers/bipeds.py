@@ -1,0 +1,270 @@
+"""Deployments of bipeds, whose programs lay out the observation themselves, as facts.
+
+**humanoid-gym**, from roboterax/humanoid-gym: a legged_gym configuration in Python
+(`envs/custom/humanoid_config.py`). `humanoid_env.py` (compute_observations) lays out sine and
+cosine of one clock of `rewards.cycle_time`, command, joint positions relative to the pose,
+velocities, last action, angular velocity, and roll, pitch, yaw; each frame is clipped after
+scaling; `env.frame_stack` whole frames, oldest first, begin with zeros.
+
+**LimX TRON1**, from limxdynamics/tron1-rl-deploy-python: `controllers/model/*/params.yaml` with
+`policy/{isaacgym,isaaclab}/{encoder,policy}.onnx`, whose tensors are vectors. The programs
+`controllers/{Point,Sole,Wheel}footController.py` lay out angular velocity, gravity, joint
+positions relative to the pose (without wheels), velocities, last action and, of feet, sine and
+cosine of one clock and the constants frequency, offset, duration and height of its gait. The
+encoder gets a history of whole frames, as long as its input; the actor what it gives, the newest
+frame, and the command; SF's of Isaac Gym two zeros more. Isaac Lab's networks count the joints of
+both sides in turns. Wheels get velocities, scaled by their damping. Beside the contract: at 500 Hz
+the programs limit each target so that the servo's torque stays within `user_torque_limit`, and
+feed that back as last action; they clip the actor's frame alone, at ±100.
+
+**Agibot X1**, from AgibotTech/agibot_x1_infer: `control_module/cfg/rl_x1.yaml`, in which the
+controllers named `rl_…` are policies. `rl_controller.cc` lays out what humanoid-gym does; the clock
+is the machine's time, and stands at 0 while the norm of the command is at most `cmd_threshold`.
+Beside the contract: at 1 kHz each position passes a second-order Butterworth low pass of cut-off
+`wc` [rad/s], bilinear without prewarping (`utilities.cc`). Joints of `paralle_list`, the ankles,
+get torques instead: kp (q* − q) − kd q̇ of each millisecond through that low pass, with gains of 0.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from unicon_base import AnyDict, AnyMapping, PolicyError
+from unicon_base.schema.marks import positive
+from unicon_core.policies.facts import Facts
+from unicon_core.policies.importers.env_yaml import legged_gym_facts
+from unicon_core.policies.importers.source import Source, clip_before_scale, plural
+from unicon_core.policies.networks.onnx_file import OnnxFile, read_onnx
+
+_LIMX = "PointfootCfg"
+_RATE = Annotated[float, positive(unit="Hz")]
+_STICK = 0.5  # what a LimX program gives at most
+_POINT_GAIT = (2.0, 0.5, 0.5, 0.1)  # of PointfootController.py
+# Term to its state and the key of its scale; of the command, those of vx, vy and wz.
+_FRAME: dict[str, tuple[str, tuple[str, ...]]] = {
+    "clock": ("gait_phase", ()),
+    "command": ("velocity_command", ("lin_vel", "lin_vel", "ang_vel")),
+    "joint_pos": ("joint_pos", ("dof_pos",)),
+    "joint_vel": ("joint_vel", ("dof_vel",)),
+    "actions": ("action", ()),
+    "ang_vel": ("base_ang_vel", ("ang_vel",)),
+    "euler": ("base_rpy", ("quat",)),
+}
+
+
+def _frame(source: Source, place: str, clip: float, history: int) -> list[AnyDict]:
+    """Return the terms of humanoid-gym, with the scales that stand at a place."""
+    terms: list[AnyDict] = []
+    for name, (state, keys) in _FRAME.items():
+        scale = [source.number(f"{place}.{key}") for key in keys] or [1.0]
+        term: AnyDict = {"name": name, "state": state, "scale": plural(scale), "history": history}
+        term["clip"] = clip_before_scale([-clip, clip], scale)
+        if state == "joint_pos":
+            term["subtract"] = "default_joint_pos"
+        terms.append(term)
+    return terms
+
+
+def humanoid_gym_facts(source: Source) -> Facts:
+    """Return what a humanoid-gym configuration says; given joints resolve its names.
+
+    Raises:
+        PolicyError: it is against the format.
+    """
+    facts = legged_gym_facts(source)
+    facts.source, facts.notes = "humanoid-gym configuration", []
+    moved, history = source.whole("env.num_actions"), source.whole("env.frame_stack")
+    clip = source.number("normalization.clip_observations")
+    terms = _frame(source, "normalization.obs_scales", clip, history)
+    source.say_terms(terms, "env.num_single_obs", 11 + 3 * moved, "humanoid_env.py lays out")
+    facts.say("observation.layout", "frame_major")
+    cycle = source.number("rewards.cycle_time")
+    source.say("phase", {"period": cycle, "offsets": [0.0]}, "rewards.cycle_time")
+    return facts
+
+
+def agibot_facts(source: Source) -> Facts:
+    """Return what an Agibot X1 configuration says of the policy that the given `name` names.
+
+    Raises:
+        PolicyError: it is against the format, or has several policies and none is named.
+    """
+    facts = source.facts
+    facts.source = "Agibot X1 configuration"
+    controllers = source.value(AnyMapping, "controllers")
+    names = [name for name in controllers if str(name).startswith("rl_")]
+    name = source.given.get("name", names[0] if len(names) == 1 else None)
+    if name not in names:
+        raise source.wrong(
+            "controllers", f"it has the policies {', '.join(names) or 'none'}; give name: one"
+        )
+    facts.values["name"] = name
+    at = f"controllers.{name}"
+    walk = f"{at}.walk_step_conf"
+    decimation = source.whole(f"{walk}.decimation")
+    rate = source.value(_RATE, "control_frequecy")
+    source.say("period", decimation / rate, f"{walk}.decimation")
+    moved = source.whole(f"{at}.onnx_conf.actions_size")
+    source.say("joints", source.need(f"{at}.joint_list"), f"{at}.joint_list")
+    for fact, key in (("default_joint_pos", "init_state"), ("stiffness", ""), ("damping", "")):
+        place = f"{at}.{key or fact}"
+        source.say(fact, source.numbers(place, moved, "actions_size"), place)
+    source.copy("action.scale", f"{walk}.action_scale", 1)
+    most = source.number(f"{at}.onnx_conf.actions_clip")
+    source.say("action.clip", [-most, most], f"{at}.onnx_conf.actions_clip")
+    facts.say("action.feedback", "clipped")
+    history = source.whole(f"{at}.onnx_conf.num_hist")
+    clip = source.number(f"{at}.onnx_conf.observations_clip")
+    terms = _frame(source, f"{at}.obs_scales", clip, history)
+    terms[1]["scale"][2] = 1.0  # of wz, in rl_controller.cc
+    terms[1]["clip"] = clip_before_scale([-clip, clip], terms[1]["scale"])
+    size = f"{at}.onnx_conf.observations_size"
+    source.say_terms(terms, size, 11 + 3 * moved, "rl_controller.cc lays out")
+    facts.say("observation.layout", "frame_major")
+    phase: AnyDict = {"period": source.number(f"{walk}.cycle_time"), "offsets": [0.0]}
+    if source.value(bool, f"{walk}.sw_mode"):
+        below = source.number(f"{walk}.cmd_threshold")
+        phase |= {"stand": 0.0, "resume": "clock", "stand_below": below}
+    source.say("phase", phase, f"{walk}.cycle_time")
+    listed = ", ".join(source.value(list[str], f"{at}.lpf_conf.paralle_list"))
+    facts.notes.append(
+        f"{source.path.name}: its program sends positions at 1 kHz through a low pass of wc "
+        f"{source.number(f'{at}.lpf_conf.wc'):g} rad/s, and {listed} the torque of the gains "
+        "through that low pass; here the servos have the gains, and nothing is filtered"
+    )
+    named = source.need(f"{at}.onnx_conf.policy_file")
+    path = f"policy/{Path(named).name}" if isinstance(named, str) else named
+    source.network(f"{at}.onnx_conf.policy_file", path, source.path.parent.parent)
+    return facts
+
+
+def limx_facts(source: Source) -> Facts:
+    """Return what a LimX `params.yaml` says, and the networks below it.
+
+    Raises:
+        PolicyError: it is against the format, or its networks are.
+    """
+    facts = source.facts
+    facts.source, source.document = "LimX params.yaml", source.need(_LIMX)
+    source.files = [(source.located, (_LIMX,))]
+    names = list(source.value(list[str], "joint_names"))
+    count, control = len(names), "control"
+    if count % 2:
+        raise source.wrong("joint_names", f"joint_names has {count} names; both legs have as many")
+    rate, decimation = source.value(_RATE, "loop_frequency"), source.whole("control.decimation")
+    source.say("period", decimation / rate, "control.decimation")
+    kind = _limx_networks(source)
+    if kind == "isaaclab":
+        names = [names[i + side] for i in range(count // 2) for side in (0, count // 2)]
+    source.say("joints", names, "joint_names")
+    pose = "init_state.default_joint_angle"
+    facts.say("default_joint_pos", [source.number(f"{pose}.{name}") for name in names], pose)
+    wheels = [name.startswith("wheel") for name in names]
+    ankles = [name.startswith("ankle") for name in names]
+    scale, kp, kd = (
+        [source.number(f"{control}.{key}")] * count
+        for key in ("action_scale_pos", "stiffness", "damping")
+    )
+    for i in range(count):
+        if wheels[i]:
+            scale[i] = kd[i] = source.number(f"{control}.wheel_joint_damping")
+            kp[i] = 0.0
+        elif ankles[i]:
+            kd[i] = source.number(f"{control}.ankle_joint_damping")
+    facts.say("stiffness", kp, control)
+    facts.say("damping", kd, control)
+    source.say("action.scale", scale, f"{control}.action_scale_pos")
+    if any(wheels):
+        facts.say("action.kind", ["velocity" if wheel else "position" for wheel in wheels])
+    most = source.number("normalization.clip_scales.clip_actions")
+    source.say("action.clip", [-most, most], "normalization.clip_scales.clip_actions")
+    facts.say("action.feedback", "clipped")
+    gait = _POINT_GAIT
+    if any(ankles):
+        height = source.number("gait.swing_height")
+        gait = (source.value(_RATE, "gait.frequencies"), *_POINT_GAIT[1:3], height)
+    if not any(wheels):
+        facts.say("phase", {"period": 1.0 / gait[0], "offsets": [0.0]}, "its program's gait")
+    _limx_terms(source, wheels, gait)
+    axes = ("lin_vel_x", "lin_vel_y", "ang_vel_z")
+    facts.say("command_ranges", {axis: [-_STICK, _STICK] for axis in axes}, "its program's stick")
+    facts.notes.append(
+        f"{source.path.name}: velocity_command is scaled by user_cmd_scales, as its program does "
+        f"with the stick's ±{_STICK:g}; at 500 Hz that program keeps torques within "
+        "user_torque_limit and feeds the limited action back, which is not done here"
+    )
+    if any(source.number(f"imu_orientation_offset.{axis}") for axis in ("roll", "pitch", "yaw")):
+        facts.notes.append(
+            f"{source.path.name}: imu_orientation_offset is not imported; say how the IMU is "
+            "mounted in the robot file"
+        )
+    return facts
+
+
+def _limx_networks(source: Source) -> str:
+    """Find encoder and actor, whose folder says where they were trained; return its name."""
+    facts, folder = source.facts, source.path.parent / "policy"
+    found = [k for k in ("isaacgym", "isaaclab") if (folder / k / "policy.onnx").is_file()]
+    chosen = [kind for kind in found if kind in str(source.given.get("onnx"))] or found
+    if len(chosen) != 1:
+        options = " or ".join(f"policy/{kind}/policy.onnx" for kind in found)
+        remedy = f"give onnx: {options}" if found else "put policy/isaacgym/policy.onnx there"
+        raise PolicyError(f"{source.path}: {len(found)} networks are below it; {remedy}")
+    (kind,) = chosen
+    facts.values["onnx"] = f"policy/{kind}/policy.onnx"
+    return kind
+
+
+def _limx_terms(source: Source, wheels: list[bool], gait: tuple[float, ...]) -> None:
+    facts, count, scales = source.facts, len(wheels), "normalization.obs_scales"
+    actor = read_onnx(facts.model())
+    encoder = read_onnx(actor.path.with_name("encoder.onnx"))
+    seen = [i for i in range(count) if not wheels[i]]
+    frame: list[AnyDict] = [
+        {"name": "ang_vel", "state": "base_ang_vel", "scale": source.number(f"{scales}.ang_vel")},
+        {"name": "gravity", "state": "projected_gravity"},
+        {"name": "joint_pos", "state": "joint_pos", "subtract": "default_joint_pos",
+         "scale": source.number(f"{scales}.dof_pos")},
+        {"name": "joint_vel", "state": "joint_vel", "scale": source.number(f"{scales}.dof_vel")},
+        {"name": "actions", "state": "action"},
+    ]  # fmt: skip
+    if any(wheels):
+        frame[2]["index"] = seen
+    else:
+        frame += [{"name": "clock", "state": "gait_phase"}, {"name": "gait", "value": list(gait)}]
+    size = 6 + len(seen) + 2 * count + (0 if any(wheels) else 6)
+    if (told := source.whole("size.observations_size")) != size:
+        text = f"is {told}, and its program lays out {size} for {count} joints; correct one"
+        raise source.wrong("size.observations_size", f"size.observations_size {text}")
+    (given, history), (latent, _) = _only(encoder.inputs, encoder), _only(encoder.outputs, encoder)
+    (taken, width), code = _only(actor.inputs, actor), source.whole("size.encoder_output_size")
+    zeros = width - code - size - 3
+    if history % size or zeros < 0:
+        raise PolicyError(
+            f"{encoder.path}: it takes {history} values and the actor {width}, which fit no frames "
+            f"of {size} values, {code} of the encoder and 3 of the command; give the networks of "
+            "this params.yaml"
+        )
+    terms = [{**term, "history": history // size} for term in frame]
+    keys = ("lin_vel_x", "lin_vel_y", "ang_vel_yaw")
+    scale = [source.number(f"user_cmd_scales.{key}") for key in keys]
+    terms.append({"name": "command", "state": "velocity_command", "scale": scale})
+    if zeros:
+        terms.append({"name": "unused", "value": [0.0] * zeros})
+    for term in terms:
+        term.setdefault("scale", 1.0)
+    facts.values["observation"] = {"layout": "frame_major", "newest": "last", "terms": terms}
+    named = str(Path(facts.values["onnx"]).with_name("encoder.onnx"))
+    fed = {given: f"observation[0:{history}]"}
+    facts.values["networks"] = {"encoder": {"onnx": named, "feeds": fed}}
+    newest = f"observation[{history - size}:{history + 3 + zeros}]"
+    facts.values["feeds"] = {taken: [f"encoder.{latent}", newest]}
+
+
+def _only(tensors: tuple[Any, ...], file: OnnxFile) -> tuple[str, int]:
+    """Return name and width of the only input or output of a network."""
+    if len(tensors) != 1 or not isinstance(tensors[0].width, int):
+        listed = ", ".join(map(str, tensors))
+        raise PolicyError(f"{file.path}: it has {listed}; one vector is wanted in and one out")
+    return tensors[0].name, tensors[0].width
