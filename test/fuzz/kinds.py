@@ -24,11 +24,15 @@ from kinds_safety import preflight, safety, scene, start
 from mutate import mutate_bytes, mutate_mcap, mutate_onnx, mutate_text, mutate_tree, to_text
 from reading import Reader, tree, whole, write
 from seeds import (
+    AGIBOT,
     DEPLOY,
     ENCODINGS,
     ENV,
+    FOREIGN,
+    HUMANOID,
     INCLUDED,
     LEGGED_GYM,
+    LIMX,
     MEMBERS,
     SET_PATHS,
     SWEEP,
@@ -137,7 +141,7 @@ def loaded(path: Path, **options: Any) -> object:
 
 def policy(dice: random.Random, folder: Path) -> Reader:
     path = policy_folder(folder) / "policy.yaml"
-    write(path, (POLICY / "policy.yaml").read_text("utf-8"), dice)
+    write(path, dice.choice((FOREIGN, (POLICY / "policy.yaml").read_text("utf-8"))), dice)
     given: Any = {}
     if dice.random() < 0.3:
         terms = {"joint_vel_rel": {"scale": 0.05}}
@@ -145,12 +149,25 @@ def policy(dice: random.Random, folder: Path) -> Reader:
     return lambda: loaded(path, given=given if isinstance(given, dict) else {})
 
 
+DEPLOYED = (
+    ("deploy.yaml", DEPLOY), ("env.yaml", ENV), ("cfg.yaml", LEGGED_GYM), ("cfg.py", HUMANOID),
+    ("params.yaml", LIMX), ("rl_x1.yaml", AGIBOT),
+)  # fmt: skip
+
+
 def deploy(dice: random.Random, folder: Path) -> Reader:
-    name, text = dice.choice((("deploy.yaml", DEPLOY), ("env.yaml", ENV), ("cfg.yaml", LEGGED_GYM)))
+    name, text = dice.choice(DEPLOYED)
     path = policy_folder(folder) / name
-    write(path, text, dice)
+    if name == "cfg.py":
+        path.write_text(mutate_text(text, dice), "utf-8", "surrogatepass")
+    else:
+        write(path, text, dice)
+    for network in ("encoder", "policy") if name == "params.yaml" else ():
+        below = path.parent / "policy" / "isaacgym"
+        below.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(POLICY / "policy.onnx", below / f"{network}.onnx")
     given: dict[str, Any] = {}
-    if name != "deploy.yaml":
+    if name in ("env.yaml", "cfg.yaml", "cfg.py"):
         contract = tree((POLICY / "policy.yaml").read_text("utf-8"))
         given = {key: contract[key] for key in ("joints", "inputs", "outputs", "recurrent")}
     if dice.random() < 0.3:

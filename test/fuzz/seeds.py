@@ -5,12 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 __all__ = [
+    "AGIBOT",
     "ARGUMENTS",
     "DEPLOY",
     "ENCODINGS",
     "ENV",
+    "FOREIGN",
+    "HUMANOID",
     "INCLUDED",
     "LEGGED_GYM",
+    "LIMX",
     "MEMBERS",
     "ONE_BLOCK",
     "PLATFORMS",
@@ -469,6 +473,98 @@ normalization:
   clip_actions: 100.0
 commands:
   ranges: {lin_vel_x: [-1.0, 1.0], ang_vel_yaw: [-2.0, 2.0]}
+"""
+
+FOREIGN = """\
+schema: unicon.policy/1
+onnx: policy.onnx
+period: 0.02
+joints: [FR_hip_joint, FR_thigh_joint, FR_calf_joint, FL_hip_joint, FL_thigh_joint, FL_calf_joint,
+  RR_hip_joint, RR_thigh_joint, RR_calf_joint, RL_hip_joint, RL_thigh_joint, RL_calf_joint]
+default_joint_pos: 0.1
+action: {scale: 0.25}
+stiffness: 40.0
+damping: 1.0
+observation:
+  layout: frame_major
+  terms:
+  - {name: angles, state: base_rpy}
+  - {name: gait, value: [2.0, 0.5, 0.5, 0.1], history: 2, scale: 2.0}
+  - {name: share, state: motion_phase}
+  - {name: clock, state: gait_phase}
+  - {name: command, state: velocity_command, scale: 2.0}
+  - {name: joint_pos, state: joint_pos, subtract: default_joint_pos}
+  - {name: last_action, state: action}
+  - {name: pad, value: [0.0, 0.5]}
+phase: {period: 1.0, rate: {state: velocity_command, index: 0, scale: 2.0, offset: 1.0}}
+motion: {duration: 2.0, start: 0.1, hold: 0.1}
+inputs: {observation: obs}
+outputs: {action: actions}
+recurrent: [{input: memory, output: next_memory}]
+"""
+
+HUMANOID = """\
+class ToyCfg(LeggedRobotCfg):
+    class env(LeggedRobotCfg.env):
+        frame_stack = 15
+        num_single_obs = 47
+        num_actions = 12
+    class init_state:
+        default_joint_angles = {"FR_hip_joint": -0.1, "FR_thigh_joint": 0.8}
+    class control:
+        stiffness = {"hip": 20.0, "thigh": 20.0, "calf": 30.0}
+        damping = {"joint": 0.6}
+        action_scale = 0.25
+        decimation = 10
+    class sim:
+        dt = 0.001
+    class rewards:
+        cycle_time = 0.64
+    class commands:
+        class ranges:
+            lin_vel_x = [-0.3, 0.6]
+    class normalization:
+        class obs_scales:
+            lin_vel = 2.0
+            ang_vel = 1.0
+            dof_pos = 1.0
+            dof_vel = 0.05
+            quat = 1.0
+        clip_observations = 18.0
+        clip_actions = 18.0
+"""
+
+LIMX = """\
+PointfootCfg:
+  loop_frequency: 500
+  joint_names: [abad_L_Joint, ankle_L_Joint, abad_R_Joint, ankle_R_Joint]
+  init_state:
+    default_joint_angle: {abad_L_Joint: 0.1, ankle_L_Joint: 0, abad_R_Joint: 0, ankle_R_Joint: 0}
+  control: {stiffness: 42.0, damping: 2.5, ankle_joint_damping: 1.5, action_scale_pos: 0.25,
+    wheel_joint_damping: 0.8, decimation: 10}
+  normalization:
+    clip_scales: {clip_actions: 100.0}
+    obs_scales: {ang_vel: 0.25, dof_pos: 1.0, dof_vel: 0.05}
+  size: {observations_size: 24, encoder_output_size: 3}
+  gait: {frequencies: 1.3, swing_height: 0.12}
+  imu_orientation_offset: {roll: 0.0, pitch: 0.0, yaw: 0.0}
+  user_cmd_scales: {lin_vel_x: 1.5, lin_vel_y: 1.0, ang_vel_yaw: 0.5}
+"""
+
+AGIBOT = """\
+control_frequecy: 1000
+controllers:
+  rl_walk:
+    joint_list: [FR_hip_joint, FR_thigh_joint]
+    init_state: [0.4, 0.05]
+    stiffness: [30.0, 40.0]
+    damping: [3.0, 3.0]
+    walk_step_conf:
+      {action_scale: 0.5, decimation: 10, cycle_time: 0.7, sw_mode: true, cmd_threshold: 0.05}
+    obs_scales: {lin_vel: 2.0, ang_vel: 1.0, dof_pos: 1.0, dof_vel: 0.05, quat: 1.0}
+    onnx_conf: {policy_file: cfg/policy.onnx, actions_size: 2, observations_size: 17, num_hist: 3,
+      observations_clip: 100.0, actions_clip: 100.0}
+    lpf_conf: {wc: 100.0, ts: 0.001, paralle_list: [FR_thigh_joint]}
 """
 
 SWEEP = """\

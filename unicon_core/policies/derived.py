@@ -21,7 +21,9 @@ RPY = "base_rpy"
 def derived_states(contract: PolicyContract) -> dict[str, StateSpec]:
     """Return the states that are derived for a policy: `base_rpy` where it is read, constants."""
     states = {
-        term.state: StateSpec((len(term.value),), description="constant", initial=tuple(term.value))
+        term.state: StateSpec(
+            (len(term.value),), description="constant", initial=tuple(term.value.tolist())
+        )
         for term in contract.terms
         if term.value is not None
     }
