@@ -481,7 +481,7 @@ onnx: policy.onnx
 period: 0.02
 joints: [FR_hip_joint, FR_thigh_joint, FR_calf_joint, FL_hip_joint, FL_thigh_joint, FL_calf_joint,
   RR_hip_joint, RR_thigh_joint, RR_calf_joint, RL_hip_joint, RL_thigh_joint, RL_calf_joint]
-default_joint_pos: 0.1
+default_joint_pos: [-0.1, 0.8, -1.6, 0.1, 0.8, -1.6, -0.1, 0.8, -1.6, 0.1, 0.8, -1.6]
 action: {scale: 0.25}
 stiffness: 40.0
 damping: 1.0
@@ -510,10 +510,15 @@ class ToyCfg(LeggedRobotCfg):
         num_single_obs = 47
         num_actions = 12
     class init_state:
-        default_joint_angles = {"FR_hip_joint": -0.1, "FR_thigh_joint": 0.8}
+        default_joint_angles = {
+            "FR_hip_joint": -0.1, "FR_thigh_joint": 0.8, "FR_calf_joint": -1.6,
+            "FL_hip_joint": 0.1, "FL_thigh_joint": 0.8, "FL_calf_joint": -1.6,
+            "RR_hip_joint": -0.1, "RR_thigh_joint": 0.8, "RR_calf_joint": -1.6,
+            "RL_hip_joint": 0.1, "RL_thigh_joint": 0.8, "RL_calf_joint": -1.6,
+        }
     class control:
-        stiffness = {"hip": 20.0, "thigh": 20.0, "calf": 30.0}
-        damping = {"joint": 0.6}
+        stiffness = {"hip": 40.0, "thigh": 40.0, "calf": 40.0}
+        damping = {"joint": 1.0}
         action_scale = 0.25
         decimation = 10
     class sim:
@@ -556,11 +561,11 @@ control_frequecy: 1000
 controllers:
   rl_walk:
     joint_list: [FR_hip_joint, FR_thigh_joint]
-    init_state: [0.4, 0.05]
-    stiffness: [30.0, 40.0]
-    damping: [3.0, 3.0]
+    init_state: [-0.1, 0.8]
+    stiffness: [40.0, 40.0]
+    damping: [1.0, 1.0]
     walk_step_conf:
-      {action_scale: 0.5, decimation: 10, cycle_time: 0.7, sw_mode: true, cmd_threshold: 0.05}
+      {action_scale: 0.25, decimation: 10, cycle_time: 0.7, sw_mode: true, cmd_threshold: 0.05}
     obs_scales: {lin_vel: 2.0, ang_vel: 1.0, dof_pos: 1.0, dof_vel: 0.05, quat: 1.0}
     onnx_conf: {policy_file: cfg/policy.onnx, actions_size: 2, observations_size: 17, num_hist: 3,
       observations_clip: 100.0, actions_clip: 100.0}
