@@ -362,6 +362,18 @@ def test_a_policy_of_agibot_stands_while_the_command_is_zero(tmp_path: Path) -> 
         assert newest[5:7].tolist() == [-0.5, 0.25]
 
 
+def test_a_network_for_mnn_gives_way_to_the_onnx_beside_it(tmp_path: Path) -> None:
+    values = agibot_values()
+    values["controllers"]["rl_walk"]["onnx_conf"]["policy_file"] = "cfg/walk.mnn"
+    (tmp_path / "policy").mkdir()
+    (tmp_path / "policy" / "walk.mnn").write_bytes(b"\x18")
+    contract = load_policy(agibot(tmp_path, values))
+    assert contract.model.name == "walk.onnx"
+    contract.model.unlink()
+    with pytest.raises(PolicyError, match=r"walk\.mnn: is a network for MNN, which cannot be run"):
+        load_policy(tmp_path / "cfg" / "rl_x1.yaml")
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -21,7 +21,7 @@ from unicon_core.policies.facts import Facts, dig, value_of
 from unicon_core.policies.hints import ClipBound, listed
 from unicon_core.robots import Robot
 
-_SUFFIXES = {".onnx": "onnx", ".mnn": "onnx", **dict.fromkeys(TORCHSCRIPT, "torchscript")}
+_SUFFIXES = {".onnx": "onnx", **dict.fromkeys(TORCHSCRIPT, "torchscript")}
 RENAMED_RANGES = {"ang_vel_yaw": "ang_vel_z"}
 """A command's name in legged_gym and holosoma to its name in a contract."""
 _ALL = "slice(None, None, None)"  # as Isaac Lab dumps it
@@ -249,11 +249,12 @@ class Source:
             PolicyError: no file is named.
         """
         facts, folder = self.facts, self.path.parent
-        if not isinstance(named, str) or Path(named).suffix not in _SUFFIXES:
+        if not isinstance(named, str) or Path(named).suffix not in (*_SUFFIXES, ".mnn"):
             raise self.wrong(key, f"{key} is {named!r}; name a network ({', '.join(_SUFFIXES)})")
         relative = Path(named)
         within = [(base or folder).resolve(), folder.resolve()]
-        for stem in (relative, relative.with_suffix(".onnx")):
+        stems = [relative, relative.with_suffix(".onnx")]
+        for stem in stems[::-1] if relative.suffix == ".mnn" else stems:
             at_base = [] if base is None or stem.is_absolute() else [base / stem]
             for found in (*at_base, folder / stem.name):
                 target = found.resolve()
@@ -264,7 +265,7 @@ class Source:
                         f"{self.path.name}: {key} names {relative.name}, which is not there; "
                         f"{found.name} is taken"
                     )
-                self.say(_SUFFIXES[found.suffix], found.name, key)
+                self.say(_SUFFIXES.get(found.suffix, "onnx"), found.name, key)
                 facts.network = found
                 return
         facts.asks["onnx"] = (
