@@ -50,13 +50,14 @@ class RollPitchYaw:
 
     def __call__(self) -> None:
         """Write the angles of all robots."""
-        for row, (w, x, y, z) in enumerate(self._quat.tolist()):
-            sine = 2.0 * (w * y - z * x)
-            self._angles[row] = (
+        self._angles[...] = [
+            (
                 math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
-                math.asin(max(-1.0, min(1.0, sine))) if sine == sine else sine,
+                math.asin(max(min(2.0 * (w * y - z * x), 1.0), -1.0)),
                 math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
             )
+            for w, x, y, z in self._quat.tolist()
+        ]
 
     def reset(self) -> None:
         """It remembers nothing."""
