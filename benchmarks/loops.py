@@ -19,6 +19,7 @@ from __future__ import annotations
 import tempfile
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -26,11 +27,18 @@ import numpy as np
 from benchmarks.samples import CLIP, Paced, Samples, Step, paced, random_policy, sleep_until
 from unicon_base.arrays import Float32
 from unicon_core.flow import as_block
+from unicon_core.models.find import pick_model
+from unicon_core.models.ground_heights import RayHeights, SceneGround
+from unicon_core.models.load import load_model
+from unicon_core.models.terrain import load_on
 from unicon_core.native.tick import NativeTick
 from unicon_core.policies import Observation, Policy, PolicyContract, policy_states
+from unicon_core.policies.height_scan import HEIGHT_SCAN, HeightScan, HeightScanSpec
 from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime import Pacing, WallClock, WarmUp, prepare_process
 from unicon_core.states import States, standard_states
+from unicon_core.terrain.heights import Heights
+from unicon_core.terrain.words import read_terrain
 from unicon_ros.bench.report import Bench
 from unicon_ros.bench.rounds import interval
 
@@ -99,6 +107,7 @@ def run_policy(rounds: int | None = None) -> Bench:
         _observations(bench, robot, contract, longer)
         _ticks(bench, robot, contract)
         _memory(bench, robot, contract, Path(folder) / "recurrent")
+    _scans(bench, robot)
     return bench
 
 
@@ -200,6 +209,39 @@ def _memory(bench: Bench, robot: Robot, contract: PolicyContract, folder: Path) 
     for _ in range(bench.rounds):
         times.take(calls, WARM_CALLS // 20, 20)
     times.add_to(bench, ("policy_recurrent", "policy call, recurrent", "policy call", 1.3))
+
+
+def _scans(bench: Bench, robot: Robot) -> None:
+    """A height scan beside one call of `mj_multiRay` with as many rays on the same ground."""
+    import mujoco
+
+    spec, path = HeightScanSpec((1.6, 1.0), 0.1), pick_model(robot)
+    flat, times, grid = load_model(path, robot, quiet=True), Samples(), spec.points()
+    count = grid.shape[1]
+    rays = np.vstack((grid, np.full(count, -1.0))).T.ravel()
+    geoms, far = np.zeros(count, np.int32), np.zeros(count)
+    calls: dict[str, Callable[[], object]] = {}
+    claims = []
+    for kind in ("flat", "stairs", "rough"):
+        terrain = read_terrain(kind, 0)
+        laid = load_on(path, robot, terrain, flat=flat)
+        data = mujoco.MjData(laid.model)
+        mujoco.mj_forward(laid.model, data)
+        states = States(standard_states(robot.joint_names) | {HEIGHT_SCAN: spec.state()})
+        origin = states["base_pos_w"][...] = 3.0, 0.0, 1.0
+        given = (np.array(origin), rays, None, True, 1, geoms, far, None, count, 100.0)
+        base = f"mj_multiRay, {kind}"
+        calls[base] = partial(mujoco.mj_multiRay, laid.model, data, *given)
+        sources: dict[str, Heights] = {"height_scan": SceneGround(flat, terrain)}
+        if terrain is not None:  # a level floor is always computed
+            sources["height_scan_by_rays"] = RayHeights(laid)
+        for name, ground in sources.items():
+            case = f"{name}, {kind}"
+            calls[case] = HeightScan(spec, states, ground)
+            claims.append((f"{name}_{kind}", case, base, 1.5))
+    for _ in range(bench.rounds):
+        times.take(calls, WARM_CALLS // 20, 5)
+    times.add_to(bench, *claims)
 
 
 def _usual_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], Paced]:

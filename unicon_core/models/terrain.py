@@ -114,7 +114,7 @@ def laying(loaded: LoadedModel, ground: Ground) -> Callable[[Any], None]:
     Raises:
         ModelError: it has not one level floor and nothing else around.
     """
-    floor, height = _floor_of(loaded)
+    floor, height = floor_of(loaded)
     patched = any(box.friction != 1.0 for box in ground.boxes)
     contact = floor_contact(loaded, floor) if patched else None
     rank = int(loaded.model.geom_priority.max()) + 1
@@ -142,7 +142,7 @@ def laying(loaded: LoadedModel, ground: Ground) -> Callable[[Any], None]:
     return lay
 
 
-def _floor_of(loaded: LoadedModel) -> tuple[int, float]:
+def floor_of(loaded: LoadedModel) -> tuple[int, float]:
     """Return the one level plane that lies around a robot, and its height in [m]."""
     mujoco = import_mujoco()
     model = loaded.model

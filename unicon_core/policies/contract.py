@@ -31,6 +31,7 @@ from unicon_base.schema.marks import (
 from unicon_base.schema.types import Here
 from unicon_core.bounds import SCALE, Damping, Stiffness
 from unicon_core.policies.clock_rate import ClockRate
+from unicon_core.policies.height_scan import HeightScanSpec
 from unicon_core.policies.hints import (
     LONGEST_FILTER,
     MOST_FRAMES,
@@ -300,6 +301,7 @@ class PolicyFacts:
         phase: the gait clock, or None.
         command: how fast the velocity command may change that it sees, or None.
         motion: what it follows, or None.
+        height_scan: the points at which it sees the ground, or None.
         robot: the robot it was trained for, for information.
         sha256: of the network's file, or None.
         provider: where ONNX Runtime runs the network: `cpu`, `cuda` or `tensorrt`.
@@ -320,6 +322,7 @@ class PolicyFacts:
     phase: PhaseSpec | None = None
     command: CommandSpec | None = None
     motion: MotionSpec | None = None
+    height_scan: HeightScanSpec | None = None
     robot: str | None = None
     sha256: Sha256 | None = None
     provider: Literal["cpu", "cuda", "tensorrt"] = "cpu"

@@ -27,6 +27,7 @@ _STATES = {
     "joint_vel": "joint_vel joint_vel_rel dof_vel",
     "action": "actions last_action action",
     "gait_phase": "gait_phase",
+    "height_scan": "height_scan",
     "gait_phase_sin": "sin_phase",
     "gait_phase_cos": "cos_phase",
     "motion_command": "motion_command",

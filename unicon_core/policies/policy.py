@@ -16,11 +16,13 @@ from unicon_core.policies.bind import Binding
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.controller import PackedStates
 from unicon_core.policies.derived import RPY, RollPitchYaw, derived_states
+from unicon_core.policies.height_scan import HeightScan
 from unicon_core.policies.motion.follow import own_reference, tracker_of
 from unicon_core.policies.networks import Network, open_network
 from unicon_core.policies.phase import GaitPhase
 from unicon_core.policies.policy_states import fed_back, own_states, reads_writes
 from unicon_core.robots import Robot
+from unicon_core.terrain.heights import Heights
 
 _TARGETS = ("joint_pos_target", "joint_stiffness", "joint_damping")
 _RATES = ("joint_vel_target", "joint_effort_ff")
@@ -40,6 +42,7 @@ class Policy:
         model: the robot's model file, in which a motion's anchor is found.
         every_target: write `joint_vel_target` and `joint_effort_ff` whatever its actions are: as
             another policy does, which may have run before.
+        ground: heights of the ground for `height_scan`; without it something else writes that.
 
     Attributes:
         name: of the policy.
@@ -69,10 +72,11 @@ class Policy:
         network: Network | None = None,
         model: Path | None = None,
         every_target: bool = False,
+        ground: Heights | None = None,
     ) -> None:
         self.made = (
             (states, robot),
-            {"prefix": prefix, "model": model, "every_target": every_target},
+            {"prefix": prefix, "model": model, "every_target": every_target, "ground": ground},
         )
         states, self.slew = own_states(contract, states, prefix)
         self.name = contract.name
@@ -124,7 +128,11 @@ class Policy:
         if contract.phase is not None and "gait_phase" in states:
             self.phase = GaitPhase(contract.phase, states, contract.period)
         angles = RollPitchYaw(states) if RPY in derived_states(contract) else None
-        self._before = tuple(part for part in (angles, self.slew, self.phase) if part is not None)
+        self.scan = None
+        if contract.height_scan is not None and ground is not None:
+            self.scan = HeightScan(contract.height_scan, states, ground)
+        before = (angles, self.slew, self.phase, self.scan)
+        self._before = tuple(part for part in before if part is not None)
         self.tracker = tracker_of(contract, states, robot, self.lane, model)
         self.endless = self.tracker is None or self.tracker.ticks is None
         self._motion = own_reference(contract, states)

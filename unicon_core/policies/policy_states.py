@@ -13,6 +13,7 @@ from unicon_base.arrays import Array
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.controller import PackedStates, PrefixedStates
 from unicon_core.policies.derived import RollPitchYaw, derived_states
+from unicon_core.policies.height_scan import HEIGHT_SCAN, HeightScan
 from unicon_core.policies.motion.follow import MotionClock
 from unicon_core.policies.networks.onnx import chained_outputs
 from unicon_core.policies.observation import Observation
@@ -68,6 +69,8 @@ def states_of(contract: PolicyContract) -> dict[str, StateSpec]:
             ("gait_phase", sines + cosines, "all sines, then all cosines"),
         ):
             states[name] = StateSpec((len(parts),), names=parts, description=text)
+    if contract.height_scan is not None:
+        states[HEIGHT_SCAN] = contract.height_scan.state()
     if contract.motion is not None:
         states |= _followed(contract)
     more = {name: out for name, out in contract.outputs.items() if name != "action"}
@@ -146,7 +149,7 @@ def fed_back(contract: PolicyContract, states: PackedStates) -> list[Array]:
 def reads_writes(
     contract: PolicyContract,
     states: PackedStates,
-    before: Sequence[RollPitchYaw | CommandSlew | GaitPhase],
+    before: Sequence[RollPitchYaw | CommandSlew | GaitPhase | HeightScan],
     tracker: MotionClock | None,
     targets: Sequence[str],
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -91,6 +91,8 @@ def policy_table(contract: PolicyContract, robot: Robot | None = None) -> str:
             f"gait phase   period {contract.phase.period:g} s{speed}, offsets {offsets} rad, "
             f"{still} without a command"
         )
+    if contract.height_scan is not None:
+        lines.append(f"height scan  {contract.height_scan}")
     lines += [f"note         {note}" for note in contract.notes]
     lines += ["", joint_table(contract, robot)]
     if contract.terms:

@@ -33,6 +33,7 @@ from unicon_core.states import States
 from unicon_core.workflow import Program
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.hardware import read_scene
+from unicon_core.workflow.policies import GROUND
 from unicon_core.workflow.tick_tree import memory_of
 
 _CALLED = re.compile(r"\b(\w+)\(\)")
@@ -131,6 +132,8 @@ class Rollouts:
         program.states.reset()
         scene = read_scene(document, program.context, platform.facts)
         platform.change(scene)
+        if (ground := program.context.models.get(GROUND)) is not None:
+            ground.lay(scene.uneven)
         self._graph.reset()
         self._memory.put_back(self._built)
         program.gate.sent.forget()

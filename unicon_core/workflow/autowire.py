@@ -58,6 +58,7 @@ class BuildContext:
         models: those that blocks compute with, by robot, file and use; all blocks share one.
         carried: it is the share of a member that another one carries, such as a hand: the platform
             simulates, and the IMU tells of, the one that carries it.
+        scene: as the workflow says it.
 
     A parameter `context` gets all of it, one of the names in `PARTS` that attribute.
     """
@@ -77,6 +78,7 @@ class BuildContext:
     lag: float = 0.0
     models: dict[tuple[Any, ...], Any] = field(default_factory=dict)
     carried: bool = False
+    scene: AnyMapping = field(default_factory=dict)
 
     def model(
         self, block: str, load: Callable[[Path], Any] | None = None, key: Iterable[Any] = ()

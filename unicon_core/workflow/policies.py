@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from unicon_base import AnyDict, AnyMapping, ModelError, PolicyError, WorkflowError, alternatives
 from unicon_core.flow import Block
@@ -20,11 +20,15 @@ from unicon_core.policies.driven import DrivenPolicy
 from unicon_core.policies.policy_states import states_of
 from unicon_core.robots import Robot
 from unicon_core.states import States, StateSpec
+from unicon_core.terrain.words import FLAT, read_terrain
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.document import WorkflowDocument, read_part
 from unicon_core.workflow.file import PolicyEntry
 from unicon_core.workflow.platforms import facts_of_all, find_platforms
 from unicon_core.workflow.uses import Use
+
+if TYPE_CHECKING:
+    from unicon_core.models.ground_heights import SceneGround
 
 
 def load_policies(document: WorkflowDocument, robot: Robot) -> dict[str, PolicyContract]:
@@ -123,6 +127,40 @@ def declared_states(
     return policy_states(policies[name], robot.joint_names, extra, prefix=prefix_of(name, policies))
 
 
+GROUND = ("ground",)
+"""Where `BuildContext.models` holds the ground of the scene."""
+
+
+def ground_under(context: BuildContext, name: str) -> SceneGround:
+    """Return the ground that a simulator lays under the robot, one for all policies.
+
+    Args:
+        context: of the workflow.
+        name: of the policy, for the message.
+
+    Raises:
+        PolicyError: the platform is a robot.
+        ModelError: there is no model of the simulated robot.
+    """
+    platform = context.platform
+    if platform is None or not platform.facts.simulated:
+        where = "this part" if platform is None else f"platform {platform.facts.name!r}"
+        raise PolicyError(
+            f"policy {name}: nothing fills its height_scan: {where} knows no ground; simulate "
+            "(platform: mujoco), or take a policy without height_scan"
+        )
+    if GROUND not in context.models:
+        from unicon_core.models.ground_heights import SceneGround  # of such policies alone
+        from unicon_core.models.load import load_model
+
+        scene, robot = context.scene, context.robot
+        path = pick_model(robot, scene.get("model"), context.relative_to)
+        terrain = read_terrain(scene.get("terrain") or FLAT, scene.get("seed") or 0)
+        context.models[GROUND] = SceneGround(load_model(path, robot, quiet=True), terrain)
+    ground: SceneGround = context.models[GROUND]
+    return ground
+
+
 def policy_factory(use: Use, policies: AnyMapping) -> Callable[..., Any]:
     """Return the factory of the block that runs the mentioned policy."""
     name = used_policy(use, policies)
@@ -152,6 +190,8 @@ def policy_factory(use: Use, policies: AnyMapping) -> Callable[..., Any]:
                 model = model_of(context.platform, context.robot)
         others = [each for each in policies.values() if each.action.kinds]
         options: AnyDict = {"prefix": prefix, "model": model, "every_target": bool(others)}
+        if contract.height_scan is not None:
+            options["ground"] = ground_under(context, contract.name)
         if contract.child is None:
             return Policy(contract, states, context.robot, **options)
         from unicon_core.policies.child_policy import ChildPolicy  # of Linux alone

@@ -171,6 +171,7 @@ class Program(ProgramData):
             sent=self.gate.sent,
             paced=lambda: self.paced,
             lag=0.0 if self.has_platform else self.period,
+            scene=document.get("scene", {}),
         )
         self.monitor = Monitor(self.states, dry=silent, fixed=not self.robot.floats)
         self.warn = print

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from unicon_base import AnyMapping, PlatformError, UniconError
-from unicon_core.platforms.kit.scene import DISTURBANCES
+from unicon_core.platforms.kit.scene import DISTURBANCES, TERRAIN
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
 from unicon_core.robots.load import JOINT_PHYSICS
@@ -39,13 +39,13 @@ class ReplayPlatform:
         tick: the next one.
     """
 
-    # What its joints are like is in the record: whatever is said of them is no reason to refuse.
+    # What joints and ground are like is in the record: what is said of them is no reason to refuse.
     facts = Facts(
         "replay",
         simulated=True,
         batch=True,
         writes=(*SIMULATED, *HARDWARE_STATES),
-        physics=tuple(JOINT_PHYSICS),
+        physics=(*JOINT_PHYSICS, TERRAIN),
     )
 
     def __init__(self, series: Series, loop: bool, driven: bool = True) -> None:
@@ -140,7 +140,10 @@ def replayed_on(document: WorkflowDocument, bag: str | Path, **options: Any) -> 
     document.values["platforms"] = {TARGET: {"bag": str(Path(bag).absolute()), **told}}
     scene = document.values.get("scene")
     if isinstance(scene, dict):
-        document.values["scene"] = {k: v for k, v in scene.items() if k not in DISTURBANCES}
+        seen = ("seed", TERRAIN)  # by height scans
+        document.values["scene"] = {
+            k: v for k, v in scene.items() if k in seen or k not in DISTURBANCES
+        }
     start = document.values.get("start")
     if isinstance(start, dict):  # that moment has passed, and nobody else is there
         document.values["start"] = {k: v for k, v in start.items() if k not in MOMENTS}
