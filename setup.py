@@ -165,6 +165,7 @@ setup(
         ],
         "unicon.blocks": [
             "camera = unicon_ros.bridge.camera:camera",
+            "elevation_map = unicon_ros.elevation_map:ElevationMap",
             "headset_controls = unicon_manipulation.teleop.operator:HeadsetControls",
             "livox = unicon_hardware.peripherals.livox.livox:livox",
             "reach = unicon_manipulation.reach:Reach",

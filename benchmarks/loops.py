@@ -37,7 +37,6 @@ from unicon_core.policies.height_scan import HEIGHT_SCAN, HeightScan, HeightScan
 from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime import Pacing, WallClock, WarmUp, prepare_process
 from unicon_core.states import States, standard_states
-from unicon_core.terrain.heights import Heights
 from unicon_core.terrain.words import read_terrain
 from unicon_ros.bench.report import Bench
 from unicon_ros.bench.rounds import interval
@@ -91,6 +90,8 @@ HISTORY = 6
 USUAL, OURS = "policy tick, usual", "policy tick, unicon"
 NATIVE = "policy tick, native"
 ALONE = "network alone, in our loop"
+SCANNED = ("flat", "stairs", "rough")
+"""Grounds of height scans; no rays are needed on a flat one."""
 
 
 def run_policy(rounds: int | None = None) -> Bench:
@@ -212,36 +213,30 @@ def _memory(bench: Bench, robot: Robot, contract: PolicyContract, folder: Path) 
 
 
 def _scans(bench: Bench, robot: Robot) -> None:
-    """A height scan beside one call of `mj_multiRay` with as many rays on the same ground."""
+    """Height scans beside one call of `mj_multiRay` with as many rays on the same ground."""
     import mujoco
 
-    spec, path = HeightScanSpec((1.6, 1.0), 0.1), pick_model(robot)
-    flat, times, grid = load_model(path, robot, quiet=True), Samples(), spec.points()
-    count = grid.shape[1]
-    rays = np.vstack((grid, np.full(count, -1.0))).T.ravel()
-    geoms, far = np.zeros(count, np.int32), np.zeros(count)
+    spec, path, times = HeightScanSpec((1.6, 1.0), 0.1), pick_model(robot), Samples()
+    states = States(standard_states(robot.joint_names) | {HEIGHT_SCAN: spec.state()})
+    origin = states["base_pos_w"][...] = np.array((3.0, 0.0, 1.0))
+    geoms, far = np.zeros(187, np.int32), np.zeros(187)
+    rays = np.vstack((spec.points(), far - 1.0)).T.ravel()
+    given = (origin, rays, None, True, 1, geoms, far, None, len(far), 100.0)
+    flat = load_model(path, robot, quiet=True)
     calls: dict[str, Callable[[], object]] = {}
-    claims = []
-    for kind in ("flat", "stairs", "rough"):
+    for kind in SCANNED:
         terrain = read_terrain(kind, 0)
         laid = load_on(path, robot, terrain, flat=flat)
         data = mujoco.MjData(laid.model)
         mujoco.mj_forward(laid.model, data)
-        states = States(standard_states(robot.joint_names) | {HEIGHT_SCAN: spec.state()})
-        origin = states["base_pos_w"][...] = 3.0, 0.0, 1.0
-        given = (np.array(origin), rays, None, True, 1, geoms, far, None, count, 100.0)
-        base = f"mj_multiRay, {kind}"
-        calls[base] = partial(mujoco.mj_multiRay, laid.model, data, *given)
-        sources: dict[str, Heights] = {"height_scan": SceneGround(flat, terrain)}
-        if terrain is not None:  # a level floor is always computed
-            sources["height_scan_by_rays"] = RayHeights(laid)
-        for name, ground in sources.items():
-            case = f"{name}, {kind}"
-            calls[case] = HeightScan(spec, states, ground)
-            claims.append((f"{name}_{kind}", case, base, 1.5))
+        calls[f"multiRay_{kind}"] = partial(mujoco.mj_multiRay, laid.model, data, *given)
+        calls[f"scan_{kind}"] = HeightScan(spec, states, SceneGround(flat, terrain))
+        calls[f"scan_by_rays_{kind}"] = HeightScan(spec, states, RayHeights(laid))
     for _ in range(bench.rounds):
         times.take(calls, WARM_CALLS // 20, 5)
-    times.add_to(bench, *claims)
+    names = [(f"scan_{kind}", kind) for kind in SCANNED]
+    names += [(f"scan_by_rays_{kind}", kind) for kind in SCANNED[1:]]
+    times.add_to(bench, *((name, name, f"multiRay_{kind}", 1.5) for name, kind in names))
 
 
 def _usual_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], Paced]:

@@ -1,4 +1,4 @@
-"""A height scan: the layout of Isaac Lab, filled in every simulator, refused where nothing fills it."""
+"""A height scan: the layout of Isaac Lab, what fills it, and a refusal where nothing does."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from policy_helpers import robot, toy_values, write_linear, write_toy
 
-from unicon_base.errors import Fault, PolicyError
+from unicon_base.errors import Fault, PolicyError, WorkflowError
 from unicon_core.policies import Policy, load_policy, policy_states, policy_table
 from unicon_core.policies.height_scan import HeightScan, HeightScanSpec
 from unicon_core.policies.policy_yaml import write_policy_yaml
@@ -84,7 +84,9 @@ def test_a_contract_with_a_grid_survives_being_written_and_is_printed(tmp_path: 
     again = load_policy(write_policy_yaml(contract, tmp_path / "b"))
     assert again.height_scan == contract.height_scan
     table = policy_table(contract)
-    assert "17 x 11 points, 0.1 m apart, middle at (0, 0) m, turned by the yaw, y varies" in table
+    assert (
+        "17 x 11 points, 0.1 m apart, middle at [0.0, 0.0] m of the base's yaw, order yx" in table
+    )
     row = next(line.split() for line in table.splitlines() if line.startswith("height_scan "))
     assert row == ["height_scan", "height_scan", "[15:202]", "0.5", "1", "-1…1", "1", "m"]
 
@@ -150,7 +152,8 @@ def test_stairs_are_seen_by_every_robot_of_a_batch_and_flat_ground_as_well(workf
         scan, height = program.states["height_scan"], program.states["base_pos_w"][:, 2]
         rows = scan.reshape(4, 11, 17)
         assert np.ptp(rows[:, 5], axis=1) == pytest.approx(ahead, abs=1e-5)
-        assert (rows[:, 5, 0] == pytest.approx(height, abs=2e-3)) and scan.std(axis=0).max() == 0.0
+        assert rows[:, 5, 0] == pytest.approx(height, abs=2e-3)
+        assert scan.std(axis=0).max() == 0.0
         program.close()
 
 
@@ -173,7 +176,23 @@ def test_a_record_replays_bit_exact(workflow: Path, tmp_path: Path) -> None:
     assert main(["replay", str(out), "--verify"]) == 0
 
 
-def test_a_robot_without_a_map_is_refused(workflow: Path) -> None:
-    document = load_document(workflow, {"platform": "unitree", "scene": {}})
+def test_a_robot_needs_a_height_map_and_where_its_base_is(workflow: Path) -> None:
+    changed = {"platform": "unitree", "scene": {}}
     with pytest.raises(PolicyError, match="nothing fills its height_scan: platform 'unitree'"):
-        Program(document, dry=True)
+        Program(load_document(workflow, changed), dry=True)
+    seen = {"elevation_map": {"handle": "realsense_cloud_handle"}}
+    changed |= {"deferred": [{"realsense": {"cloud": True}}, seen]}
+    with pytest.raises(WorkflowError, match="reads 'base_pos_w', which no block writes"):
+        Program(load_document(workflow, changed), dry=True)
+    changed |= {"estimate": ["leg_odometry"]}
+    program = Program(load_document(workflow, changed), dry=True)
+    policy = next(block for block in program.blocks if block.name == "policy")
+    assert {"height_map", "height_map_centre", "base_pos_w", "base_quat"} <= {*policy.reads}
+    states = program.states
+    with pytest.raises(Fault, match="not finite: term 'height_scan'"):  # nothing was seen yet
+        policy.tick()
+    states["height_map"][...], states["height_map_centre"][...] = 0.1, 0.0
+    states["base_pos_w"][2] = 0.4
+    policy.tick()
+    assert states["height_scan"] == pytest.approx(np.full(187, 0.3))
+    program.close()

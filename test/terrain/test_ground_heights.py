@@ -17,6 +17,7 @@ from unicon_core.terrain.words import read_terrain
 mujoco = pytest.importorskip("mujoco")
 
 GRID = np.stack(np.meshgrid(np.linspace(-0.8, 0.8, 17), np.linspace(-0.5, 0.5, 11))).reshape(2, -1)
+THERE = GRID + np.array([[2.6], [0.1]])
 GROUNDS = [
     {"stairs": {}},
     {"stairs": {"rise": -0.13, "run": 0.25}},
@@ -85,9 +86,9 @@ SEEN = '<geom type="sphere" size="0.3" pos="2 0 2" contype="0" conaffinity="0"/>
 def test_other_surroundings_are_met_by_rays(how: str) -> None:
     """What cannot be touched is no ground, what is not seen is."""
     ground = SceneGround(model_of(around=BOX.format(how) + SEEN), None)
-    exact = by_rays(model_of(around=BOX.format("")).model, GRID + [[2.6], [0.1]])
+    exact = by_rays(model_of(around=BOX.format("")).model, THERE)
     assert exact.max() > 0.5 > 0.1 > exact.min()
-    np.testing.assert_allclose(ground(GRID + [[2.6], [0.1]]), exact, atol=1e-5)
+    np.testing.assert_allclose(ground(THERE), exact, atol=1e-5)
 
 
 def test_where_there_is_no_ground_it_is_far_below() -> None:

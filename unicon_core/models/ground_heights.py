@@ -46,7 +46,9 @@ class SceneGround:
                 raise
             self._heights = RayHeights(self._loaded)
             return
-        self._heights = GroundHeights(Ground(0.0) if terrain is None else ground_of(terrain), height)
+        self._heights = GroundHeights(
+            Ground(0.0) if terrain is None else ground_of(terrain), height
+        )
 
     def __call__(self, points: Float64) -> Float64:
         """Return the heights in [m], shape (n,), of points (2, n)."""

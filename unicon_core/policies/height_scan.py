@@ -62,7 +62,9 @@ class HeightScanSpec:
                 )
         total = math.prod(round(count) + 1 for count in steps)
         if total > MOST_POINTS:
-            here.value(f"makes {total} points, at most {MOST_POINTS}; give a larger one", "resolution")
+            here.value(
+                f"makes {total} points, at most {MOST_POINTS}; give a larger one", "resolution"
+            )
 
     @property
     def counts(self) -> tuple[int, int]:
@@ -87,12 +89,8 @@ class HeightScanSpec:
 
     def __str__(self) -> str:
         x, y = self.counts
-        ahead, left = self.offset
-        fast, slow = self.order
-        return (
-            f"{x} x {y} points, {self.resolution:g} m apart, middle at ({ahead:g}, {left:g}) m, "
-            f"turned by the {self.frame}, {fast} varies faster than {slow}"
-        )
+        middle = f"middle at {list(self.offset)} m of the base's {self.frame}"
+        return f"{x} x {y} points, {self.resolution:g} m apart, {middle}, order {self.order}"
 
 
 class HeightScan:
@@ -111,7 +109,6 @@ class HeightScan:
 
     memory = ()
 
-    reads = ("base_pos_w", "base_quat")
     writes = (HEIGHT_SCAN,)
 
     def __init__(self, spec: HeightScanSpec, states: PackedStates, ground: Heights) -> None:
@@ -123,6 +120,7 @@ class HeightScan:
         self._x, self._y = spec.points()
         self._points = np.empty((2, self._x.size))
         self._ground = ground
+        self.reads = ("base_pos_w", "base_quat", *getattr(ground, "reads", ()))
 
     def __call__(self) -> None:
         """Write the scan of each robot."""

@@ -10,13 +10,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from unicon_base.arrays import Array, Float64
+from unicon_base.arrays import Float64
 from unicon_core.terrain.ground import Box, Field, Ground
 
 Heights = Callable[[Float64], Float64]
 """Takes x and y in the world in [m], shape (2, n); returns the ground's heights in [m], (n,)."""
-
-_FEW = 8  # boxes up to which all are compared with the points: to choose among them takes longer
 
 
 class GroundHeights:
@@ -34,7 +32,6 @@ class GroundHeights:
         self._middle, self._half = rows[:, :2], rows[:, 2:4]
         # Two upper faces of each box: z = slope · (x − middle) + top.
         self._slopes, self._tops = rows[:, 4:6], rows[:, 6:] + height
-        self._sloped = bool(self._slopes.any())
 
     def __call__(self, points: Float64) -> Float64:
         """Return the heights in [m], shape (n,).
@@ -44,16 +41,14 @@ class GroundHeights:
         """
         if self._field is not None:
             return self._of_field(self._field, points)
-        chosen: slice | Array = slice(None)
-        if len(self._middle) > _FEW:
-            low, high = points.min(axis=1), points.max(axis=1)
-            beside = np.abs(self._middle - (low + high) / 2) <= self._half + (high - low) / 2
-            chosen = np.flatnonzero(beside[:, 0] & beside[:, 1])
+        if not len(self._middle):
+            return np.full(points.shape[1], self._floor)
+        low, high = points.min(axis=1), points.max(axis=1)
+        beside = np.abs(self._middle - (low + high) / 2) <= self._half + (high - low) / 2
+        chosen = np.flatnonzero(beside[:, 0] & beside[:, 1])
         away = points - self._middle[chosen, :, None]
         inside = (np.abs(away) <= self._half[chosen, :, None]).all(axis=1)
-        tops = self._tops[chosen, :, None]
-        if self._sloped:
-            tops = tops + self._slopes[chosen, :, None] * away[:, :1]
+        tops = self._tops[chosen, :, None] + self._slopes[chosen, :, None] * away[:, :1]
         found: Float64 = np.where(inside, tops.min(axis=1), self._floor).max(
             axis=0, initial=self._floor
         )

@@ -9,7 +9,7 @@ YAML file. The JSON Schema of flows and platforms completes in an editor what is
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -59,6 +59,7 @@ class BuildContext:
         carried: it is the share of a member that another one carries, such as a hand: the platform
             simulates, and the IMU tells of, the one that carries it.
         scene: as the workflow says it.
+        blocks: those that are built already.
 
     A parameter `context` gets all of it, one of the names in `PARTS` that attribute.
     """
@@ -79,6 +80,7 @@ class BuildContext:
     models: dict[tuple[Any, ...], Any] = field(default_factory=dict)
     carried: bool = False
     scene: AnyMapping = field(default_factory=dict)
+    blocks: Sequence[Block] = ()
 
     def model(
         self, block: str, load: Callable[[Path], Any] | None = None, key: Iterable[Any] = ()

@@ -20,6 +20,8 @@ from unicon_core.policies.driven import DrivenPolicy
 from unicon_core.policies.policy_states import states_of
 from unicon_core.robots import Robot
 from unicon_core.states import States, StateSpec
+from unicon_core.terrain.height_map import HEIGHT_MAP, MapHeights
+from unicon_core.terrain.heights import Heights
 from unicon_core.terrain.words import FLAT, read_terrain
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.document import WorkflowDocument, read_part
@@ -131,23 +133,26 @@ GROUND = ("ground",)
 """Where `BuildContext.models` holds the ground of the scene."""
 
 
-def ground_under(context: BuildContext, name: str) -> SceneGround:
-    """Return the ground that a simulator lays under the robot, one for all policies.
+def ground_under(context: BuildContext, name: str, states: States) -> Heights:
+    """Return the height map, or the ground that a simulator lays, one for all policies.
 
     Args:
         context: of the workflow.
         name: of the policy, for the message.
+        states: that the policy reads.
 
     Raises:
-        PolicyError: the platform is a robot.
+        PolicyError: the platform is a robot, and there is no height map.
         ModelError: there is no model of the simulated robot.
     """
+    if HEIGHT_MAP in states:
+        return MapHeights(states)
     platform = context.platform
     if platform is None or not platform.facts.simulated:
         where = "this part" if platform is None else f"platform {platform.facts.name!r}"
         raise PolicyError(
-            f"policy {name}: nothing fills its height_scan: {where} knows no ground; simulate "
-            "(platform: mujoco), or take a policy without height_scan"
+            f"policy {name}: nothing fills its height_scan: {where} knows no ground, and there "
+            "is no height_map; add the block elevation_map, or simulate (platform: mujoco)"
         )
     if GROUND not in context.models:
         from unicon_core.models.ground_heights import SceneGround  # of such policies alone
@@ -191,7 +196,7 @@ def policy_factory(use: Use, policies: AnyMapping) -> Callable[..., Any]:
         others = [each for each in policies.values() if each.action.kinds]
         options: AnyDict = {"prefix": prefix, "model": model, "every_target": bool(others)}
         if contract.height_scan is not None:
-            options["ground"] = ground_under(context, contract.name)
+            options["ground"] = ground_under(context, contract.name, states)
         if contract.child is None:
             return Policy(contract, states, context.robot, **options)
         from unicon_core.policies.child_policy import ChildPolicy  # of Linux alone

@@ -178,7 +178,7 @@ class Program(ProgramData):
         self._arrivals: list[Incoming] = []
         if self.parts is not None and part:
             self._arrivals = self.parts.incoming(part, self.states, self.tell)
-        self.blocks = []
+        self.blocks = self.context.blocks = []
         self.outside = []
         self.latches = []
         try:

@@ -1,0 +1,182 @@
+"""Block `elevation_map`: a height map around the robot, from the frames of a camera or a scanner.
+
+    deferred:
+      - realsense: {cloud: true}
+      - elevation_map: {handle: realsense_cloud_handle, position: [0.3, 0.0, 0.1]}
+
+Each new frame is turned into the world by the pose that the base had at the frame's time. What it
+costs is bounded by `points`; ticks without a new frame only keep the pose. Behind `send` it delays
+no command: a policy sees the map in the next tick. Records have it, and replays give it again.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+import numpy as np
+
+from unicon_base import Fault, UniconError, alternatives
+from unicon_base.arrays import Array
+from unicon_base.schema.marks import Point, Quat, Within, positive
+from unicon_core.models.camera import Intrinsics
+from unicon_core.platforms.kit.base import rotation
+from unicon_core.states import StateSpec
+from unicon_core.terrain.height_map import ElevationGrid, height_map_states
+from unicon_core.workflow.autowire import BuildContext
+from unicon_ros.bridge.images import CLOUD, IMAGE, rays
+from unicon_ros.peripheral import FrameSource
+
+KEPT = 2.0
+"""How long poses are kept for frames that come late, in [s]."""
+APART = 0.05
+"""A frame is left out where no pose is nearer to its time, in [s]."""
+OPTICAL = (0.5, -0.5, 0.5, -0.5)
+"""Optical frame (z forward, x right, y down) of a camera that looks along the base's x, wxyz."""
+
+
+class ElevationMap:
+    """Writes the states of a height map, see `unicon_core/terrain/height_map.py`.
+
+    Args:
+        context: says states, platform and the blocks before this one.
+        handle: state with the number of the newest frame: depths (32FC1) or a cloud of a block
+            that is listed before this one.
+        position: of the sensor's frame in the base's.
+        quat: sensor's frame to the base's, wxyz; that of a camera that looks along x unless given.
+        fovy: vertical field of view of depths; a cloud needs none.
+        size: edge of the map, the robot amid.
+        resolution: edge of a cell.
+        decay: a cell that was measured longer ago counts as not measured.
+        highest: points that are higher above the base's origin are no ground.
+        body_radius: points that are nearer to the base, seen from above, are the robot's own.
+        base_height: of the base above the ground, for cells that near which were never measured;
+            None: these are filled as other holes.
+        points: at most so many of a frame are taken, evenly.
+        stale: so long no frame may come.
+        on_stale: then a `fault`, or go on with the `last` map.
+
+    Raises:
+        UniconError: no block before fills the handle, or frames of another kind.
+        Fault: no frame came for too long.
+    """
+
+    name = "elevation_map"
+    endless = outside = True
+
+    def __init__(
+        self,
+        context: BuildContext,
+        *,
+        handle: str = "camera_handle",
+        position: Point = (0.0, 0.0, 0.0),
+        quat: Quat = OPTICAL,
+        fovy: Annotated[float, Within(1.0, 170.0, "°")] = 60.0,
+        size: Annotated[float, Within(0.2, 20.0, "m")] = 4.0,
+        resolution: Annotated[float, Within(0.02, 1.0, "m")] = 0.05,
+        decay: Annotated[float, positive(unit="s")] = 30.0,
+        highest: Annotated[float, Within(-2.0, 5.0, "m")] = 0.5,
+        body_radius: Annotated[float, Within(0.0, 5.0, "m")] = 0.5,
+        base_height: Annotated[float | None, Within(0.0, 5.0, "m")] = None,
+        points: Annotated[int, Within(10, 100_000)] = 3000,
+        stale: Annotated[float, positive(10.0, "s")] = 2.0,
+        on_stale: Literal["fault", "last"] = "fault",
+    ) -> None:
+        states, platform = context.states, context.platform
+        if states.num_robots is not None:
+            raise UniconError("elevation_map: it is of one robot; leave num_robots out")
+        written = {name: block for block in context.blocks for name in block.writes}
+        if handle not in written:
+            others = [name for name in written if name.endswith("_handle")]
+            known = alternatives(handle, others) if others else "list it behind a camera"
+            raise UniconError(f"elevation_map: no block before it fills {handle!r}; {known}")
+        self.writes = tuple(self.declares(size=size, resolution=resolution))
+        self.reads = ("base_pos_w", "base_quat", "stamp_ns", handle)
+        self._source: FrameSource | None = None
+        if context.dry:
+            return
+        sources: Mapping[str, FrameSource] = getattr(written[handle].tick, "sources", {})
+        source = sources.get(handle.removesuffix("_handle"))
+        if (
+            source is None
+            or source.message.type not in (IMAGE, CLOUD)
+            or source.message.dtype == "|u1"
+        ):
+            raise UniconError(f"elevation_map: {handle!r} has no depths; take a depth or a cloud")
+        self._source, self._handle, self._handle_name = source, states[handle], handle
+        self._turn, self._origin = rotation(np.array(quat)), np.array(position)[:, None]
+        self._highest, self._radius, self._base_height = highest, body_radius, base_height
+        self._stale, self._faults = stale, on_stale == "fault"
+        self._grid = ElevationGrid(round(size / resolution), resolution, decay, body_radius)
+        # Simulated frames have the simulation's time, those of devices that of this machine.
+        simulated = platform is not None and platform.facts.simulated
+        self._stamp = states["stamp_ns"] if simulated else None
+        self._pose = states["base_pos_w"], states["base_quat"]
+        self._out = [states[name] for name in self.writes]
+        kept = max(round(KEPT / context.period), 1)
+        self._stamps, self._poses = np.zeros(kept, np.int64), np.full((kept, 7), math.nan)
+        self._next, self._last, self._fresh = 0, 0, math.inf
+        shape = source.message.shape
+        self._every = -(-math.prod(shape[:2] if len(shape) > 1 else shape) // points)
+        self._rays: Array | None = None
+        if source.message.type == IMAGE:
+            focal = 0.5 * shape[0] / math.tan(0.5 * math.radians(fovy))
+            middle = 0.5 * (shape[1] - 1), 0.5 * (shape[0] - 1)
+            self._rays = rays(shape[1], shape[0], Intrinsics(focal, focal, *middle))
+
+    @staticmethod
+    def declares(*, size: float = 4.0, resolution: float = 0.05, **_: Any) -> dict[str, StateSpec]:
+        """Return the states of the map."""
+        return height_map_states(round(size / resolution), resolution)
+
+    def __call__(self) -> None:
+        """Keep the pose, and take a new frame into the map."""
+        source = self._source
+        if source is None:
+            return
+        here, pose = time.monotonic(), self._poses[self._next]
+        self._stamps[self._next] = here * 1e9 if self._stamp is None else self._stamp
+        pose[:3], pose[3:] = self._pose
+        self._fresh = min(self._fresh, here)  # it waits from the first tick on
+        handle = int(self._handle)
+        if handle and handle != self._last:
+            self._last = handle
+            frame, stamp = source.ring.frame(handle), source.ring.stamp_ns(handle)
+            if frame is not None:
+                points = self._points(source.message.data(frame))
+                if source.ring.holds(handle) and self._take(points, stamp):
+                    self._fresh = here
+        self._next = (self._next + 1) % len(self._stamps)
+        if self._faults and here - self._fresh > self._stale:
+            raise Fault(
+                f"elevation_map: no frame of {self._handle_name!r} for {self._stale:g} s; see to "
+                "the sensor, or give on_stale: last"
+            )
+
+    def _points(self, data: Array) -> Array:
+        """Return points in the sensor's frame in [m], shape (3, k); NaN is no measurement."""
+        if data.dtype.names is not None:
+            return np.stack([data[axis][:: self._every] for axis in "xyz"])
+        if self._rays is None:
+            return data.reshape(-1, 3)[:: self._every].T
+        depths = data.reshape(-1)[:: self._every]
+        return self._rays.reshape(-1, 3)[:: self._every].T * depths
+
+    def _take(self, points: Array, stamp: int) -> bool:
+        """Put points into the map by the pose at their time; False where that is not known."""
+        apart = np.abs(self._stamps - stamp)
+        nearest = int(apart.argmin())
+        pose, now = self._poses[nearest], self._poses[self._next]
+        if apart[nearest] > APART * 1e9 or not np.isfinite((pose, now)).all():
+            return False
+        there = rotation(pose[3:]) @ (self._turn @ points + self._origin) + pose[:3, None]
+        away = np.hypot(there[0] - pose[0], there[1] - pose[1])
+        taken = (away >= self._radius) & (there[2] < pose[2] + self._highest)  # NaN is neither
+        self._grid.move(now[:2])
+        self._grid.add(there[:, taken], stamp * 1e-9)
+        under = math.nan if self._base_height is None else now[2] - self._base_height
+        for out, values in zip(self._out, self._grid.measured(stamp * 1e-9, under)):
+            out[...] = values
+        return True
