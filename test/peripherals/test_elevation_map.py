@@ -202,6 +202,8 @@ def test_wrong_frames_and_handles_are_refused() -> None:
         Bench(frame_message("color", W, H, "eye"))
     with pytest.raises(UniconError, match=r"no block before it fills 'eye_hand'.*eye_handle"):
         Bench(MESSAGES["cloud"], handle="eye_hand")
+    with pytest.raises(UniconError, match="size / resolution is 200, at most 128"):
+        Bench(MESSAGES["cloud"], resolution=0.02)
     states = States(standard_states(["j"]), 2)
     with pytest.raises(UniconError, match="leave num_robots out"):
         ElevationMap(BuildContext(states, None, 0.02))  # type: ignore[arg-type]

@@ -43,16 +43,21 @@ class SlowGrid:
 
 
 def filled(heights: np.ndarray) -> np.ndarray:
-    """Fill holes block by block, as the rule is written."""
+    """Fill holes cell by cell, as the rule is written."""
+    levels = [heights]
+    while len(levels[-1]) > 1:
+        fine = levels[-1]
+        half = (len(fine) + 1) // 2
+        coarse = np.full((half, half), np.nan)
+        for i, j in np.ndindex(half, half):
+            four = fine[2 * i : 2 * i + 2, 2 * j : 2 * j + 2]
+            if not np.isnan(four).all():
+                coarse[i, j] = np.nanmean(four)
+        levels.append(coarse)
     out = heights.copy()
     for row, column in np.argwhere(np.isnan(heights)):
-        size = 1
-        while size < CELLS and np.isnan(out[row, column]):
-            size *= 2
-            r, c = row // size * size, column // size * size
-            block = heights[r : r + size, c : c + size]
-            if not np.isnan(block).all():
-                out[row, column] = np.nanmean(block)
+        values = (level[row >> k, column >> k] for k, level in enumerate(levels))
+        out[row, column] = next((value for value in values if not np.isnan(value)), np.nan)
     return out
 
 

@@ -2,8 +2,7 @@
 
 States of a height map of n x n cells, rows along y, columns along x of the world:
 
-- `height_map` [m], holes filled: a cell that was not measured has the mean of those that were, in
-  the smallest block of 2 x 2, 4 x 4, … cells that has some; all are NaN where none was measured.
+- `height_map` [m], holes filled as `without_holes` says; NaN where nothing was measured at all.
 - `height_map_valid`: 1 where a cell was measured.
 - `height_map_centre` [m], `height_map_resolution` [m].
 """
@@ -97,16 +96,14 @@ class ElevationGrid:
         """Go on by whole cells, so that a place x, y in [m] is in the middle."""
         count = self._cells.shape[1]
         corner = np.floor(place / self._step).astype(np.int64) - count // 2
-        shift = np.clip(corner - self._corner, -count, count)
+        shift = corner - self._corner
+        if not shift.any():
+            return
         self._corner = corner
-        if shift.any():
-            (x, x0), (y, y0) = (
-                (slice(max(-s, 0), count - max(s, 0)), slice(max(s, 0), count - max(-s, 0)))
-                for s in shift.tolist()
-            )
-            moved = np.full_like(self._cells, math.nan)
-            moved[:, y, x] = self._cells[:, y0, x0]
-            self._cells = moved
+        self._cells = np.roll(self._cells, -shift, (2, 1))
+        before = np.arange(count) + shift[:, None]
+        beyond_x, beyond_y = (before < 0) | (before >= count)
+        self._cells[:, beyond_y] = self._cells[:, :, beyond_x] = math.nan
 
     def add(self, points: Float64, now: float) -> None:
         """Take a frame.
@@ -134,18 +131,23 @@ class ElevationGrid:
         heights, time = self._cells
         valid = now - time <= self._decay
         filled = np.where(valid, heights, np.where(self._under, under, math.nan))
-        known = ~np.isnan(filled)
-        places, step = np.arange(len(known)), 1
-        total, number = np.where(known, filled, 0.0), known.astype(np.float64)
-        with np.errstate(invalid="ignore"):
-            while step < len(known) and np.isnan(filled).any():
-                step *= 2
-                edges = places[::step]
-                sums = [
-                    np.add.reduceat(np.add.reduceat(each, edges, 0), edges, 1)
-                    for each in (total, number)
-                ]
-                mean = (sums[0] / sums[1])[np.ix_(places // step, places // step)]
-                filled = np.where(np.isnan(filled), mean, filled)
-        centre = self._step * (self._corner + np.float64(len(known) / 2))
-        return filled, valid, centre
+        centre = self._step * (self._corner + np.float64(len(filled) / 2))
+        return without_holes(filled), valid, centre
+
+
+def without_holes(heights: Float64) -> Float64:
+    """Return a square map whose holes (NaN) have the mean of their 2 x 2 cells, or a coarser one.
+
+    Where all four are holes, the same is done with the map of such means; and so on.
+    """
+    holes, count = np.isnan(heights), len(heights)
+    if count < 2 or not holes.any():
+        return heights
+    half = (count + 1) // 2
+    padded = np.full((2 * half, 2 * half), math.nan)
+    padded[:count, :count] = heights
+    fours = padded.reshape(half, 2, half, 2)
+    with np.errstate(invalid="ignore"):
+        means = np.nansum(fours, (1, 3)) / np.isfinite(fours).sum((1, 3))
+    coarse = without_holes(means).repeat(2, 0).repeat(2, 1)
+    return np.where(holes, coarse[:count, :count], heights)
