@@ -34,21 +34,23 @@ class SceneGround:
 
     def __init__(self, loaded: LoadedModel, terrain: Terrain | None) -> None:
         self._loaded = loaded
+        self._terrain: tuple[Terrain | None, ...] = ()
         self.lay(terrain)
 
     def lay(self, terrain: Terrain | None) -> None:
         """Be the ground of another terrain."""
+        if self._terrain == (terrain,):
+            return
         self._heights: Heights
         try:
             height = floor_of(self._loaded)[1]
+            ground = Ground(0.0) if terrain is None else ground_of(terrain)
+            self._heights = GroundHeights(ground, height)
         except ModelError:
             if terrain is not None:
                 raise
             self._heights = RayHeights(self._loaded)
-            return
-        self._heights = GroundHeights(
-            Ground(0.0) if terrain is None else ground_of(terrain), height
-        )
+        self._terrain = (terrain,)
 
     def __call__(self, points: Float64) -> Float64:
         """Return the heights in [m], shape (n,), of points (2, n)."""
