@@ -142,8 +142,7 @@ def loaded(path: Path, **options: Any) -> object:
 def policy(dice: random.Random, folder: Path) -> Reader:
     path = policy_folder(folder) / "policy.yaml"
     text = dice.choice((FOREIGN, (POLICY / "policy.yaml").read_text("utf-8")))
-    write(path, f"{text}height_scan: {{size: [1.6, 1.0], resolution: 0.1, order: yx}}
-", dice)
+    write(path, f"{text}height_scan: {{size: [1.6, 1.0], resolution: 0.1, order: yx}}\n", dice)
     given: Any = {}
     if dice.random() < 0.3:
         terms = {"joint_vel_rel": {"scale": 0.05}}

@@ -31,7 +31,7 @@ def weights() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     )
 
 
-def _turning(count: str) -> list[Any]:
+def turning(count: str, what: str = "vx") -> list[Any]:
     """Nodes that turn so often around nothing, and leave the result in `turned`."""
 
     def value(name: str, kind: int) -> Any:
@@ -50,7 +50,7 @@ def _turning(count: str) -> list[Any]:
         ],
         [value("go_on", TensorProto.BOOL), value("x_next", TensorProto.FLOAT)],
     )
-    return [helper.make_node("Loop", [count, "yes", "vx"], ["turned"], body=body)]
+    return [helper.make_node("Loop", [count, "yes", what], ["turned"], body=body)]
 
 
 def write_slow(
@@ -90,9 +90,9 @@ def write_slow(
     elif failing == "raise":
         nodes += [helper.make_node("Gather", ["single", "fast_int"], ["turned"], axis=0)]
     elif failing == "hang":
-        nodes += [helper.make_node("Mul", ["fast_int", "forever"], ["count"]), *_turning("count")]
+        nodes += [helper.make_node("Mul", ["fast_int", "forever"], ["count"]), *turning("count")]
     else:
-        nodes += _turning("turns")
+        nodes += turning("turns")
 
     def value(name: str, width: int) -> Any:
         return helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, width])

@@ -60,6 +60,7 @@ class PolicyStep:
         action_finite: tells whether the output holds neither NaN nor infinity.
         advance: goes on to the next tick: the history takes the frame, the network's memory is fed
             back; with True, after a warm-up, it does nothing.
+        output: what the network writes: the action, or its chunk, shape (H, m) or (1, H, m).
         first_step: what an input that counts the calls begins with; see `reset`.
         held: for so many calls after `step_zero` it stays at that.
     """
@@ -73,6 +74,7 @@ class PolicyStep:
     recurrent: list[tuple[Array, Array]]
     runs: list[Callable[[], None]]
     published: list[Published]
+    output: Float32
 
     def __post_init__(self) -> None:
         self.infer = self.runs[0] if len(self.runs) == 1 else self._run_rows
@@ -81,7 +83,7 @@ class PolicyStep:
         if self.observation is not None:
             self._write, self._advance = self.observation.bind_parts(self.obs)
         self._obs_finite = finite_check(self.obs)
-        self.action_finite = finite_check(self.action)
+        self.action_finite = finite_check(self.output)
         self._steps = self.first_step = self.held = 0.0
         self._smooth: Filter | None = None
         # What has neither inputs nor a memory skips them: what only the tick runs is cold then.
@@ -220,13 +222,14 @@ class Binding:
                 item = self._input(canonical, tensor)
                 self.feeds[name] = item.values if item.cast is None else item.cast
                 inputs.append(item)
-        action = self._outputs()
+        action, output = self._outputs()
         memory = self._memory()
         for tensor in self.network.inputs:
             if tensor.name not in self.feeds:
                 text = f"nothing feeds input {tensor}; name it in 'inputs' or 'recurrent'"
                 raise self._fail(text)
-        return PolicyStep(observation, obs, action, inputs, memory, self._calls(), self.published)
+        calls, published = self._calls(), self.published
+        return PolicyStep(observation, obs, action, inputs, memory, calls, published, output)
 
     def _fail(self, message: str) -> PolicyError:
         return PolicyError(f"policy {self.contract.name}: {message}")
@@ -295,7 +298,10 @@ class Binding:
             spec = ObservationSpec((ObservationTerm(canonical, canonical),))
             gather = Observation(self.contract, self.states, self.joints, spec)
             values = np.zeros(gather.shape, np.float32)
-            if not tensor.takes(gather.size):
+            axes = [axis for axis in tensor.shape[1:] if isinstance(axis, int)]
+            if len(axes) == len(tensor.shape) - 1 > 1 and prod(axes) == gather.size:
+                values = values.reshape(self.rows, *axes)
+            elif not tensor.takes(gather.size):
                 raise self._fail(
                     f"input {tensor} takes {tensor.width} values and state {canonical!r} has "
                     f"{gather.size}; correct 'inputs' or 'joints'"
@@ -303,11 +309,12 @@ class Binding:
         cast = None if tensor.dtype == "float32" else values.astype(tensor.dtype)
         return Input(gather, values, cast)
 
-    def _outputs(self) -> Float32:
-        """Fetch the action, which is returned, and the outputs that are states."""
+    def _outputs(self) -> tuple[Float32, Float32]:
+        """Fetch outputs that are states; return the action, and what the network writes of it."""
         if "action" not in self.contract.outputs:
             raise self._fail("'outputs' names no action; add 'outputs: {action: NAME}'")
-        action = np.zeros((self.rows, len(self.contract.action.joints)), np.float32)
+        moved, chunk = len(self.contract.action.joints), self.contract.chunk
+        action = output = np.zeros((self.rows, moved), np.float32)
         for canonical, name in self.contract.outputs.items():
             tensor, values = self._tensor("output", name), action
             if canonical != "action":
@@ -320,9 +327,17 @@ class Binding:
                         "correct 'outputs'"
                     )
                 values = np.zeros((self.rows, width), np.float32)
+            elif chunk is not None:
+                shape = (1, chunk.size, moved)[-max(len(tensor.shape), 2) :]
+                if any(isinstance(a, int) and a != b for a, b in zip(tensor.shape, shape)):
+                    text = f"output {tensor} is no chunk of {chunk.size} × {moved}"
+                    raise self._fail(f"{text}; {self._remedy('chunk.size')}")
+                self.fetches[name] = output = np.zeros(shape, np.float32)
+                self._publish(canonical, action)
+                continue
             self.fetches[name] = values
             self._publish(canonical, values)
-        return action
+        return action, output
 
     def _memory(self) -> list[tuple[Array, Array]]:
         """Feed and fetch what is recurrent; return each output with its input."""

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from unicon_base import Fault, PolicyError
+from unicon_core.policies.chunks import DELAY, PREFIX, ChunkSpec, Plan
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.controller import PackedStates, PrefixedStates
 from unicon_core.policies.networks.child import ChildNetwork, Question
@@ -43,6 +44,7 @@ class ChildPolicy(Policy):
         robot: as of `Policy`.
         period: of a tick in [s].
         paced: tells whether ticks are paced by the clock; else answers are waited for.
+        tell: takes why the flow goes on where it does so at an underrun of `chunk`.
         network: of the contract, in its child; None starts one.
         options: as of `Policy`.
 
@@ -51,7 +53,7 @@ class ChildPolicy(Policy):
         UniconError: what was raised in the child.
     """
 
-    memory = ("_question", "_held", "_computed", "_tick", "_asked", "_of")
+    memory = ("_question", "_plan", "_computed", "_tick", "_asked", "_of", "_due")
 
     every_tick = True
     """It keeps its period by itself."""
@@ -64,6 +66,7 @@ class ChildPolicy(Policy):
         *,
         period: float,
         paced: Callable[[], bool],
+        tell: Callable[[str], None] = print,
         network: ChildNetwork | None = None,
         **options: Any,
     ) -> None:
@@ -71,13 +74,23 @@ class ChildPolicy(Policy):
         assert spec is not None
         self._spec, self._period, self._paced = spec, period, paced
         self._every = max(round(contract.period / period), 1)
-        oldest = oldest_age(contract, period)
-        self._timeout = spec.timeout or max(TIMEOUT, 2.0 * oldest)
+        chunk, moved = contract.chunk, len(contract.action.joints)
+        row = period if chunk is None else chunk.period or contract.period
+        self._plan = Plan(chunk or ChunkSpec(1), row, period, moved, PREFIX in contract.inputs)
+        self._ends, self._tell = chunk is not None and chunk.underrun == "done", tell
+        due = max(spec.delay, self._plan.steps)  # a new observation goes when the last is answered
+        oldest = (spec.delay + -(-due // self._every) * self._every - 1) * period
+        self._timeout, key = spec.timeout or max(TIMEOUT, 2.0 * oldest), "child.timeout"
+        if chunk is not None:
+            end = (self._plan.ticks - 1) * period + chunk.hold
+            if spec.timeout is None or end < spec.timeout:
+                self._timeout, key = end, "the time of a chunk with chunk.hold"
         if self._timeout < oldest:
             raise PolicyError(
-                f"policy {contract.name}: child.timeout is {spec.timeout:g} s, and by its delay "
+                f"policy {contract.name}: {key} is {self._timeout:g} s, and by its delay "
                 f"and period an action is up to {oldest:g} s old; give more"
             )
+        self._late = f"is too slow, hangs or was stopped ({key})"
         if states.num_robots is not None:
             raise PolicyError(
                 f"policy {contract.name}: in a child it drives one robot, not num_robots "
@@ -97,7 +110,7 @@ class ChildPolicy(Policy):
                 self.network.close()
             raise
         named: Any = self.made[1]
-        named.update(period=period, paced=paced)
+        named.update(period=period, paced=paced, tell=tell)
         question = self.lane.infer
         assert isinstance(question, Question)
         self._question = question
@@ -105,8 +118,9 @@ class ChildPolicy(Policy):
         names = ("joint_pos", "joint_pos_target", "joint_stiffness")
         self._there = [view[name].reshape(1, -1) for name in names]
         self._age = view[AGE]
-        self._held = np.zeros_like(self.lane.action)
-        self._tick, self._asked, self._of = 0, -1, -1
+        self._expected = [view[name] if name in view else None for name in (PREFIX, DELAY)]
+        self._tick, self._asked, self._of, self._due = 0, -1, -1, 0
+        self.endless = self.endless and not self._ends
         own = view.actual(AGE) if isinstance(view, PrefixedStates) else AGE
         self.writes = (*self.writes, own)
         self.reads = tuple(dict.fromkeys([*self.reads, "joint_pos"]))
@@ -121,17 +135,15 @@ class ChildPolicy(Policy):
         if warm_up:
             lane.assemble()
             return False
-        if self._asked >= 0 and tick - self._asked >= self._spec.delay:
-            self._take()
-        self._age[...] = age = (tick - max(self._of, 0)) * self._period
-        if age > self._timeout:
-            raise Fault(
-                f"policy {self.name}: its newest action is {age:.3g} s old, at most "
-                f"{self._timeout:g} s are allowed: its process {self.network.process.pid} is too "
-                f"slow, hangs or was stopped (child.timeout)"
-            )
+        try:
+            self._answer(tick)
+        except Fault as fault:
+            if not self._ends:
+                raise
+            self._tell(f"{fault}; the flow goes on (chunk.underrun)")
+            return True
         if self._of >= 0:
-            lane.action[...] = self._held
+            lane.action[...] = self._plan.at(tick)
             self._command()
             for state, values in self._published:
                 state[...] = values
@@ -143,13 +155,25 @@ class ChildPolicy(Policy):
         self._tick = tick + 1
         return done
 
-    def _take(self) -> None:
+    def _answer(self, tick: int) -> None:
+        """Take an answer that is due; refuse one that is too old."""
+        if self._asked >= 0 and tick - self._asked >= self._spec.delay:
+            self._take(tick)
+        self._age[...] = age = (tick - max(self._of, 0)) * self._period
+        if age > self._timeout:
+            raise Fault(
+                f"policy {self.name}: its newest action is {age:.3g} s old, at most "
+                f"{self._timeout:g} s are allowed: its process {self.network.process.pid} "
+                f"{self._late}"
+            )
+
+    def _take(self, tick: int) -> None:
         lane = self.lane
         if not self._question.take(wait=not self._paced()):
             return
         if not lane.action_finite():
             raise Fault(self._blame_action())
-        self._held[...] = lane.action
+        self._plan.add(lane.output.reshape(-1, lane.action.shape[1]), self._asked, tick)
         for source, target in lane.recurrent:
             target[...] = source
         self._of, self._asked = self._asked, -1
@@ -171,12 +195,13 @@ class ChildPolicy(Policy):
             part()
         if self.tracker is not None:
             self.tracker()
+        self._plan.expect(self._tick, *self._expected)
         lane.assemble()
         if not lane.finite():
             raise Fault(self._blame_observation())
-        if self._asked < 0:
+        if self._asked < 0 and self._tick >= self._due:
             self._question.ask()
-            self._asked = self._tick
+            self._asked, self._due = self._tick, self._tick + self._plan.steps
         for state, values in lane.published:
             state[...] = values
         lane.advance()
@@ -186,23 +211,10 @@ class ChildPolicy(Policy):
         """Forget what was asked and answered, and all that a policy forgets."""
         super().reset()
         self._question.forget()
-        self._held[...] = 0.0
+        self._plan.reset()
         self._age[...] = 0.0
-        self._tick, self._asked, self._of = 0, -1, -1
+        self._tick, self._asked, self._of, self._due = 0, -1, -1, 0
 
     def close(self) -> None:
         """End the child."""
         self.network.close()
-
-
-def oldest_age(contract: PolicyContract, period: float) -> float:
-    """Return how old an action becomes by its delay where the network is in time, in [s].
-
-    Args:
-        contract: with `child`.
-        period: of a tick in [s].
-    """
-    assert contract.child is not None
-    delay, every = contract.child.delay, max(round(contract.period / period), 1)
-    between = -(-delay // every) * every  # a new observation goes when the last is answered
-    return (delay + between - 1) * period

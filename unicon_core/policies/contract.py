@@ -32,6 +32,7 @@ from unicon_base.schema.types import Here
 from unicon_core.bounds import SCALE, Damping, Stiffness
 from unicon_core.policies.clock_rate import ClockRate
 from unicon_core.policies.height_scan import HeightScanSpec
+from unicon_core.policies.chunks import ChunkSpec
 from unicon_core.policies.hints import (
     LONGEST_FILTER,
     MOST_FRAMES,
@@ -291,6 +292,7 @@ class PolicyFacts:
         joints: the policy's joint order, length n; every joint array below is in this order.
         default_joint_pos: pose that relative positions refer to in [rad], shape (n,).
         action: meaning of the output.
+        chunk: the output has a row for each of several times, or None.
         stiffness: proportional gains in [N·m/rad], shape (n,).
         damping: derivative gains in [N·m·s/rad], shape (n,).
         observation: the input vector.
@@ -323,6 +325,7 @@ class PolicyFacts:
     command: CommandSpec | None = None
     motion: MotionSpec | None = None
     height_scan: HeightScanSpec | None = None
+    chunk: ChunkSpec | None = None
     robot: str | None = None
     sha256: Sha256 | None = None
     provider: Literal["cpu", "cuda", "tensorrt"] = "cpu"

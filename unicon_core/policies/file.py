@@ -24,6 +24,7 @@ from unicon_base.schema.read import refuse
 from unicon_base.schema.records import record_of
 from unicon_base.schema.types import Here, Mistakes
 from unicon_core.bounds import ACTION_SCALE, EFFORT, POSITION, VELOCITY
+from unicon_core.policies.chunks import note_chunk
 from unicon_core.policies.contract import (
     ActionKind,
     ActionSpec,
@@ -255,7 +256,7 @@ class PolicyFile(PolicyFacts):
     @staticmethod
     def between(found: AnyDict, here: Here) -> None:
         """Note what fits no joint, no network or no period."""
-        for note in (note_networks, note_joints, note_filters, note_unread_command):
+        for note in (note_networks, note_joints, note_filters, note_chunk, note_unread_command):
             note(found, here)
 
 

@@ -78,6 +78,11 @@ class Policy:
             (states, robot),
             {"prefix": prefix, "model": model, "every_target": every_target, "ground": ground},
         )
+        if contract.chunk is not None and contract.child is None:
+            raise PolicyError(
+                f"policy {contract.name}: its network answers with chunks, in a process of its own "
+                "alone; add child: true beside its path"
+            )
         states, self.slew = own_states(contract, states, prefix)
         self.name = contract.name
         self.contract = contract
@@ -224,11 +229,13 @@ class Policy:
         return f"policy {self.name}: an input of the network is not finite; it was not run"
 
     def _blame_action(self) -> str:
-        row, column = (int(i) for i in np.argwhere(~np.isfinite(self.lane.action))[0])
-        joint = self.contract.action.joints[column]
+        joints = self.contract.action.joints
+        output = self.lane.output.reshape(-1, len(joints))
+        row, column = (int(i) for i in np.argwhere(~np.isfinite(output))[0])
+        of = self._of_robot(row) if self.contract.chunk is None else f" in row {row}"
         return (
-            f"policy {self.name}: the action is not finite: joint {joint!r} is "
-            f"{self.lane.action[row, column]}{self._of_robot(row)}; no target was written"
+            f"policy {self.name}: the action is not finite: joint {joints[column]!r} is "
+            f"{output[row, column]}{of}; no target was written"
         )
 
     def _of_robot(self, row: int) -> str:

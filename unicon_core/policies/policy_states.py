@@ -10,6 +10,7 @@ from dataclasses import replace
 from math import prod
 
 from unicon_base.arrays import Array
+from unicon_core.policies.chunks import DELAY, PREFIX
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.controller import PackedStates, PrefixedStates
 from unicon_core.policies.derived import RollPitchYaw, derived_states
@@ -57,6 +58,14 @@ def states_of(contract: PolicyContract) -> dict[str, StateSpec]:
     if contract.child is not None:
         text = "since the observation of the action that is held"
         states["action_age"] = StateSpec((), "float32", "s", "", (), text)
+    if contract.chunk is not None:
+        rows = contract.chunk.size * len(joints)
+        text = "rows planned from the newest observation on, one after the other"
+        chunk = {
+            PREFIX: StateSpec((rows,), description=text),
+            DELAY: StateSpec((1,), description="rows that run until the network answers"),
+        }
+        states |= {name: spec for name, spec in chunk.items() if name in contract.inputs}
     if contract.command is not None:
         command = standard_states(joints)[COMMAND]
         states[SLEWED] = replace(command, description="velocity_command as the policy sees it")
@@ -162,7 +171,7 @@ def reads_writes(
         tracker: what follows a motion, or None.
         targets: command states that are written.
     """
-    own = ["observation", "action", *derived_states(contract)]
+    own = ["observation", "action", PREFIX, DELAY, *derived_states(contract)]
     own += [name for part in before for name in part.writes]
     own += [*contract.outputs, "motion_command"]
     read = [name for part in before for name in part.reads]

@@ -207,6 +207,7 @@ def policy_factory(use: Use, policies: AnyMapping) -> Callable[..., Any]:
             context.robot,
             period=context.period,
             paced=context.paced,
+            tell=context.tell,
             network=context.networks.get((name, member)),
             **options,
         )
