@@ -89,6 +89,8 @@ EXTRAS["foxglove"] = ["foxglove-sdk==0.30.3", "rosbags>=0.11"]
 EXTRAS["realsense"] = ["pyrealsense2>=2.56"]
 # Nor this: 754 MB installed (2.13, CPU), for TorchScript policies alone.
 EXTRAS["torch"] = ["torch"]
+# Nor this: 6 GB, for policies that LeRobot trained. Held at what was tried.
+EXTRAS["lerobot-policies"] = ["lerobot>=0.4.4,<0.5"]
 # Nor this: 243 MB, for `unicon sweep --engine ray` alone. Held at what was tried.
 EXTRAS["ray"] = ["ray==2.60.0", *EXTRAS["sweep"]]
 # Nor what a vendor's protocol needs: a computer on a robot wants that of its robot alone.

@@ -118,7 +118,7 @@ class ChildPolicy(Policy):
         names = ("joint_pos", "joint_pos_target", "joint_stiffness")
         self._there = [view[name].reshape(1, -1) for name in names]
         self._age = view[AGE]
-        self._expected = [view[name] if name in view else None for name in (PREFIX, DELAY)]
+        self._expected = [view[n] if n in contract.inputs else None for n in (PREFIX, DELAY)]
         self._tick, self._asked, self._of, self._due = 0, -1, -1, 0
         self.endless = self.endless and not self._ends
         own = view.actual(AGE) if isinstance(view, PrefixedStates) else AGE

@@ -344,7 +344,7 @@ class PolicyContract(PolicyFacts):
     Attributes:
         name: of the policy.
         path: the file that the contract was read from.
-        model: the network: `.onnx`, or `.pt` for TorchScript.
+        model: the network: `.onnx`, `.pt` for TorchScript, `.safetensors` in LeRobot's folder.
         networks: what runs before the network in `model`, in order.
         child: how it runs in a process of its own, or None; the workflow says it.
         source: the format that it came from.
@@ -364,3 +364,8 @@ class PolicyContract(PolicyFacts):
     def is_torchscript(self) -> bool:
         """Whether the network is a TorchScript file."""
         return self.model.suffix in TORCHSCRIPT
+
+    @property
+    def is_lerobot(self) -> bool:
+        """Whether the network is a folder of LeRobot's."""
+        return self.model.suffix == ".safetensors"

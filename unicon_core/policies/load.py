@@ -32,6 +32,7 @@ from unicon_core.policies.importers.formats import (
     metadata_reader,
     settled,
 )
+from unicon_core.policies.importers.lerobot import WEIGHTS
 from unicon_core.policies.importers.python_config import read_python
 from unicon_core.policies.importers.source import Source
 from unicon_core.policies.networks.onnx_file import OnnxFile, read_onnx
@@ -129,6 +130,8 @@ def import_policy(
         reference = Path(reference)
     refuse_to_replace(Path(out_dir) / "policy.yaml", force)
     facts = _read(reference, robot, given or {})
+    if facts.network is not None and facts.network.name == WEIGHTS:
+        raise PolicyError(f"{facts.path}: LeRobot's folder runs as it is; name it under policies:")
     missing = missing_facts(facts)
     if facts.by_pattern and "joints" in missing:
         raise PolicyError(
@@ -194,6 +197,8 @@ def _main_file(folder: Path) -> Path | None:
         return next((folder / name for name in names if os.path.isfile(folder / name)), None)
 
     if found := first("policy.yaml", "deploy.yaml", "params/deploy.yaml"):
+        return found
+    if first(WEIGHTS) and (found := first("config.json")):
         return found
     models = sorted(folder.glob("*.onnx"))
     if len(models) == 1 and metadata_reader(read_onnx(models[0])):

@@ -13,6 +13,7 @@ from unicon_core.policies.importers.bipeds import agibot_facts, humanoid_gym_fac
 from unicon_core.policies.importers.deploy_programs import booster_facts, unitree_rl_gym_facts
 from unicon_core.policies.importers.deploy_yaml import deploy_yaml_facts, refuse_base, rl_sar_facts
 from unicon_core.policies.importers.env_yaml import env_yaml_facts, legged_gym_facts
+from unicon_core.policies.importers.lerobot import lerobot_facts
 from unicon_core.policies.importers.metadata import exploy_facts, holosoma_facts, mjlab_facts
 from unicon_core.policies.importers.source import Source
 from unicon_core.policies.networks.onnx_file import OnnxFile, short_text
@@ -62,6 +63,7 @@ _CONFIGURATIONS: dict[tuple[str, ...], Callable[[Source], Facts]] = {
     ("*.joint_names", "*.joint_mapping"): refuse_base,
     ("kps", "kds", "default_angles"): unitree_rl_gym_facts,
     ("common.default_qpos", "policy"): booster_facts,
+    ("type", "input_features", "output_features"): lerobot_facts,
 }
 _MOTORS = ("joint_ids_map", "leg_joint2motor_idx", "common.default_qpos")
 
