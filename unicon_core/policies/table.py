@@ -76,6 +76,9 @@ def policy_table(contract: PolicyContract, robot: Robot | None = None) -> str:
     )
     if action.filter is not None:
         lines.append(f"filter       {action.filter}, begins with {action.filter.start}")
+    if (chunk := contract.chunk) is not None:
+        row = chunk.period or contract.period
+        lines.append(f"chunk        {chunk.size} rows of {row:g} s, {chunk.execution}")
     if contract.command is not None:
         slew = ", ".join(map(figure, contract.command.slew))
         lines.append(f"command      changes by at most {slew} [m/s², m/s², rad/s²] (slew)")

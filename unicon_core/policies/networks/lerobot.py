@@ -60,8 +60,8 @@ class LerobotNetwork:
         self._widths = {name: each.shape[0] for name, each in config.input_features.items()}
         width = config.n_obs_steps * sum(self._widths.values())
         shape = (1, contract.chunk.size, config.output_features["action"].shape[0])
-        self.inputs = (Tensor("observation", "float32", (1, width)),)
-        self.outputs = (Tensor("action", "float32", shape),)
+        self.inputs: tuple[Tensor, ...] = (Tensor("observation", "float32", (1, width)),)
+        self.outputs: tuple[Tensor, ...] = (Tensor("action", "float32", shape),)
 
     def bind(self, inputs: Arrays, outputs: Arrays) -> Callable[[], None]:
         """Return a function that runs the policy on these arrays."""
