@@ -93,6 +93,7 @@ class ActionMap:
         index[robot_from_action] = np.arange(m)
         scale = np.zeros(n, np.float32)
         scale[robot_from_action[by_position]] = action.scale[by_position]
+        self._of_action = robot_from_action
         self._index = (index[None, :] + np.arange(rows)[:, None] * m).reshape(-1)
         self._scale, self._offset = np.tile(scale, rows), np.tile(offset, rows)
         self._feed_clipped = action.feedback == "clipped"
@@ -120,6 +121,21 @@ class ActionMap:
         if action.clip is not None:
             sides = action.clip if self._feed_clipped else action.clip[:, index]
             self._clip = np.tile(sides, rows)
+
+    def inverse(self, target: Float32) -> Float32:
+        """Return the action that gives these targets of positions, as clipped and filtered.
+
+        Args:
+            target: joint position targets of one robot in its order in [rad], shape (n,).
+
+        Returns:
+            Action of shape (m,); 0 where the scale is.
+        """
+        at, spec = self._of_action, self._spec
+        action: Float32 = target[at] - spec.offset
+        action[spec.scale == 0.0] = 0.0
+        np.divide(action, spec.scale, out=action, where=spec.scale != 0.0)
+        return action
 
     def bind_all(
         self,

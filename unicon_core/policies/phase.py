@@ -92,6 +92,12 @@ class GaitPhase:
             self.reads += (spec.command,)
             self._command = states[spec.command].reshape(rows, 3)
 
+    @property
+    def begins(self) -> bool:
+        """Whether the first phase has just passed its offset, or the phases stand."""
+        since = float((self.phase[0, 0] - self._start[0, 0]) % (2.0 * np.pi))
+        return since < self._step or bool(self._standing[0])
+
     def reset(self) -> None:
         """Start all phases at their offsets."""
         self.phase[...] = self._clock[...] = self._start

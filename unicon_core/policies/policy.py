@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from unicon_base import Fault, PolicyError
+from unicon_base.arrays import Float32
 from unicon_core.policies.action_map import ActionMap
 from unicon_core.policies.bind import Binding
 from unicon_core.policies.contract import PolicyContract
@@ -50,6 +51,7 @@ class Policy:
         writes: states that are written.
         holds: its action, which others may read before it runs: that of its last tick.
         action_map: what turns the action into targets.
+        target: positions that its last tick gave in [rad], the robot's order, shape (rows, n).
         lane: arrays and bound calls.
         tracker: of the motion that it follows, or None.
         made: what it was made with, beside contract and network.
@@ -103,6 +105,7 @@ class Policy:
         target, stiffness, damping, *rates = (states[name].reshape(rows, n) for name in targets)
         self._computed = [np.zeros_like(target) for _ in range(3)]
         computed, velocity, torque = self._computed
+        self.target = computed
         smooth = self.action_map.filter
         if self.action_map.positions_only and smooth is None:
             self._command = self.action_map.bind(self.lane.action, computed)
@@ -191,6 +194,11 @@ class Policy:
         made: Any = type(self)  # in a child, or here
         other: Policy = made(contract, *places, network=self.network, **options)
         return other
+
+    def executed(self, target: Float32) -> None:
+        """Take targets in [rad], shape (n,), that another one gave, for its own last action."""
+        action = self._actions[0]
+        action[...] = self.action_map.inverse(target).reshape(action.shape)
 
     def warm_up(self) -> None:
         """Take the path of a tick and discard the result: caches get warm, nothing changes.

@@ -15,6 +15,7 @@ from unicon_base.errors import Fault
 from unicon_core.page import write_file
 from unicon_core.runtime.statistics import TickStatistics
 from unicon_core.workflow.program_data import ProgramData
+from unicon_core.workflow.shadow import shadowed_in
 
 
 @dataclass
@@ -94,6 +95,7 @@ class Report:
             paused: how long of it the run stood still in [s].
         """
         ticks, overruns = statistics.count, statistics.overruns
+        shadowed = shadowed_in(program.blocks)
         return cls(
             program.name,
             program.robot.name,
@@ -111,6 +113,7 @@ class Report:
             safety_left_out=dict(program.safety_left_out),
             forced=list(program.forced),
             blocks=statistics.block_us(),
+            extra={} if shadowed is None else {"shadow": shadowed.found()},
             **program.monitor.found(),
         )
 
@@ -140,6 +143,7 @@ class Report:
 
     def summary(self) -> str:
         """Return the readable lines that end a run."""
+        shadow = self.extra.get("shadow")
         share = f" ({self.overruns / self.ticks:.1%})" if self.ticks else ""
         if self.overrun_blocks:
             share += f", most by {', '.join(list(self.overrun_blocks)[:3])}"
@@ -164,6 +168,8 @@ class Report:
             )
         if self.dry:
             lines.append("dry           nothing was sent")
+        if shadow is not None:
+            lines.append(f"shadow        {shadow['says']}")
         if self.safety_left_out:
             lines.append(f"safety        without {', '.join(self.safety_left_out)}")
         if self.forced:

@@ -60,6 +60,7 @@ class BuildContext:
             simulates, and the IMU tells of, the one that carries it.
         scene: as the workflow says it.
         blocks: those that are built already.
+        shadow: what stands beside a policy, as of `workflow.shadow.Shadow`, or None.
 
     A parameter `context` gets all of it, one of the names in `PARTS` that attribute.
     """
@@ -81,6 +82,7 @@ class BuildContext:
     carried: bool = False
     scene: AnyMapping = field(default_factory=dict)
     blocks: Sequence[Block] = ()
+    shadow: Any = None
 
     def model(
         self, block: str, load: Callable[[Path], Any] | None = None, key: Iterable[Any] = ()

@@ -69,6 +69,25 @@ class PolicyEntry:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
+class ShadowEntry:
+    """A policy that ticks beside another one, and may replace it during a run.
+
+    Attributes:
+        path: folder or file of the policy: a path, a name or assets:PATH.
+        given: facts that its files lack.
+        blend: time in which the command goes from one policy to the other.
+        bound: largest difference of its targets from the other policy's, and step in a tick.
+        limit: longest time of its tick; half of its period unless given.
+    """
+
+    path: Text
+    given: Annotated[Mapping[str, Any] | None, Write("a mapping of facts")] = None
+    blend: Annotated[float, positive(10.0, "s")] = 0.3
+    bound: Annotated[float, positive(math.pi, "rad")] = 0.4
+    limit: Annotated[float | None, positive(10.0, "s")] = None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Entry:
     """How a mode or a skill is entered.
 
@@ -168,6 +187,7 @@ class Workflow:
         ros: true to mirror to ROS 2 without being asked.
         states: extra states: name to specification.
         policies: name to policy: a path, or {path, given, child}.
+        shadow: name of one of these to the policy that ticks beside it, for comparison and swap.
         skills: what `flow: skills` switches between: name to policy or to {policy or do, …}.
         estimate: blocks that compute what is not measured, right behind recv.
         commands: blocks that make commands, before ROS inputs may replace them.
@@ -204,6 +224,7 @@ class Workflow:
     ros: bool | None = None
     states: Mapping[str, Any] | None = None
     policies: Mapping[str, str | PolicyEntry] | None = None
+    shadow: Mapping[str, str | ShadowEntry] | None = None
     skills: (
         Mapping[
             Annotated[str, Matches(r"(?a:[A-Za-z]\w{0,63})", "letters, digits and _")],

@@ -25,7 +25,7 @@ from unicon_core.terrain.heights import Heights
 from unicon_core.terrain.words import FLAT, read_terrain
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.document import WorkflowDocument, read_part
-from unicon_core.workflow.file import PolicyEntry
+from unicon_core.workflow.file import PolicyEntry, ShadowEntry
 from unicon_core.workflow.platforms import facts_of_all, find_platforms
 from unicon_core.workflow.uses import Use
 
@@ -41,30 +41,48 @@ def load_policies(document: WorkflowDocument, robot: Robot) -> dict[str, PolicyC
         WorkflowError: an entry is of no known form.
     """
     contracts = {}
+    for name, entry in document.get("policies", {}).items():
+        said = {"path": entry} if isinstance(entry, str) else entry
+        values: PolicyEntry = read_part(document, PolicyEntry, said, "policies", name)
+        contract = load_entry(document, robot, values, f"policy {name!r}")
+        child = ChildSpec() if values.child is True else values.child or None
+        contracts[str(name)] = contract if child is None else replace(contract, child=child)
+    return contracts
+
+
+def load_entry(
+    document: WorkflowDocument, robot: Robot, entry: PolicyEntry | ShadowEntry, what: str
+) -> PolicyContract:
+    """Load the contract that an entry of a workflow names.
+
+    Args:
+        document: the workflow.
+        robot: that is to move.
+        entry: `path` and `given`.
+        what: to call it in messages.
+
+    Raises:
+        PolicyError: the policy is missing, incomplete or contradictory.
+    """
 
     def model() -> Path:
         """The model of the scene, else the robot's own; what is wrong with it is told later."""
         named = document.get("scene", {}).get("model")
         return pick_model(robot, named, document.path.parent)
 
-    for name, entry in document.get("policies", {}).items():
-        said = {"path": entry} if isinstance(entry, str) else entry
-        values: PolicyEntry = read_part(document, PolicyEntry, said, "policies", name)
-        beside = document.path.parent / values.path
-        path: str | Path = values.path
-        if "/" in values.path and os.path.exists(beside):
-            path = beside
-        try:
-            contract = load_policy(path, robot=robot, given=values.given or {}, model=model)
-        except PolicyError as error:
-            raise PolicyError(f"policy {name!r}: {error}") from error
-        # Before a platform is built: a model of another robot would hide this behind its own error.
-        lacking = lacking_joints(contract, robot)
-        if lacking and all(lacking_joints(contract, each) for each in robot.members.values()):
-            raise PolicyError(f"policy {name!r}: {lacking}")
-        child = ChildSpec() if values.child is True else values.child or None
-        contracts[str(name)] = contract if child is None else replace(contract, child=child)
-    return contracts
+    beside = document.path.parent / entry.path
+    path: str | Path = entry.path
+    if "/" in entry.path and os.path.exists(beside):
+        path = beside
+    try:
+        contract = load_policy(path, robot=robot, given=entry.given or {}, model=model)
+    except PolicyError as error:
+        raise PolicyError(f"{what}: {error}") from error
+    # Before a platform is built: a model of another robot would hide this behind its own error.
+    lacking = lacking_joints(contract, robot)
+    if lacking and all(lacking_joints(contract, each) for each in robot.members.values()):
+        raise PolicyError(f"{what}: {lacking}")
+    return contract
 
 
 def with_weldable(
@@ -178,6 +196,8 @@ def policy_factory(use: Use, policies: AnyMapping) -> Callable[..., Any]:
         drives: Sequence[str] = (),
         sees_default_for: Sequence[str] = (),
     ) -> Any:
+        if context.shadow is not None and context.shadow.of == name:
+            return context.shadow.beside(made_with(context, context.states), context)
         if drives or sees_default_for:
             return DrivenPolicy(
                 lambda states: made_with(context, states),

@@ -51,6 +51,7 @@ from unicon_core.workflow.policies import load_policies, with_weldable
 from unicon_core.workflow.program_data import Gate, ProgramData, withheld
 from unicon_core.workflow.safety_set import completed, left_out
 from unicon_core.workflow.settings import pacing_of, safety_of, start_of
+from unicon_core.workflow.shadow import shadow_blocks, shadow_of
 from unicon_core.workflow.tick_tree import bound_commands, tick_tree, with_flow
 from unicon_core.workflow.uses import EXPRESSION, Use
 
@@ -82,6 +83,7 @@ class Described(TypedDict, total=False):
     ros: bool
     states: AnyMapping
     policies: AnyMapping
+    shadow: AnyMapping
     skills: AnyMapping
     estimate: Blocks
     commands: Blocks
@@ -148,6 +150,9 @@ class Program(ProgramData):
         mentioned = [b for n in (*trees, *([ending] if ending else ())) for b in blocks_of(n)]
         uses = [b for b in mentioned if isinstance(b, Use) and b.word != EXPRESSION]
         specs = specs_of(document, self.robot, self.policies, uses)
+        shadow = shadow_of(document, self.robot, self.policies, uses)
+        if shadow is not None:
+            specs |= shadow.states(self.robot, specs)
         self.states = States(Layout(specs, document.get("num_robots")))
         self.part, self.parts, self.store = part, read_parts(document), read_store(document)
         if self.parts is not None:
@@ -172,6 +177,7 @@ class Program(ProgramData):
             paced=lambda: self.paced,
             lag=0.0 if self.has_platform else self.period,
             scene=document.get("scene", {}),
+            shadow=shadow,
         )
         self.monitor = Monitor(self.states, dry=silent, fixed=not self.robot.floats)
         self.warn = print
@@ -261,7 +267,10 @@ class Program(ProgramData):
         self.gates += gates_of(self)
 
     def _beside(self) -> None:
-        """Let a twin follow what is sent, before the hooks: a recorder sees what it writes."""
+        """Let a shadow and a twin follow what is sent; before the hooks: a recorder sees them."""
+        for stage, block in shadow_blocks(self.blocks):
+            self.blocks.append(block)
+            self.stages[stage].append(block)
         settings = twin_of(self.document)
         if settings is None or self.silent or not self.has_platform:
             return

@@ -1,0 +1,354 @@
+"""ShadowedPolicy: a policy with another one beside it, which may replace it while the robot moves.
+
+Policy A drives. Policy B ticks behind `send` on the same states and writes states of its own: no
+command waits for it. `ask` (`~/swap`) lets B drive where its gates hold: the command goes from A's
+targets to B's over a blend in which both tick. A second `ask`, or a fault of B, leads back to A.
+
+What a policy sees as its last action is what was executed, in its own action space, while another
+one drives or both do: action = (target sent - offset) / scale. Its own outputs moved nothing.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from unicon_base import AnyDict, Fault
+from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.policy import Policy
+from unicon_core.states import States
+
+CALM = 1.0
+"""For so long B has to agree with A, finite and in time, before it may drive, in [s]."""
+LATE = 3
+"""Ticks in a row that take too long, after which B is out."""
+PAIRED = ("joint_pos_target", "joint_stiffness", "joint_damping")
+"""Commands that B writes into states of its own, and that a blend mixes."""
+
+
+def disagreement(a: PolicyContract, b: PolicyContract) -> str:
+    """Return why one policy cannot replace another while the robot moves, "" where it can."""
+    for each in (a, b):
+        if each.child is not None:
+            return f"{each.name} runs in a process of its own (child), which cannot be swapped"
+        if each.motion is not None or {"motion_joint_pos"} & {*each.outputs}:
+            return f"{each.name} follows a motion, which cannot be swapped in the middle"
+        if not each.action.of_kind("position").all():
+            return f"{each.name} gives velocities or torques; both have to give positions alone"
+    if not math.isclose(a.period, b.period, rel_tol=1e-6):
+        return f"{b.name} has period {b.period:g} s and {a.name} {a.period:g} s"
+    if None not in (a.robot, b.robot) and a.robot != b.robot:
+        return f"{b.name} is of robot {b.robot} and {a.name} of {a.robot}"
+    for what, ours, theirs in (
+        ("joints", a.joints, b.joints),
+        ("action.joints", a.action.joints, b.action.joints),
+    ):
+        if odd := sorted({*ours} ^ {*theirs}):
+            return f"{what} of {b.name} and {a.name} differ in {', '.join(odd)}"
+    for axis, (low, high) in a.command_ranges.items():
+        lowest, highest = b.command_ranges.get(axis, (-math.inf, math.inf))
+        if lowest > low or highest < high:
+            return (
+                f"{b.name} has {axis} [{lowest:g}, {highest:g}], which is less than the [{low:g}, "
+                f"{high:g}] of {a.name}"
+            )
+    return ""
+
+
+class ShadowedPolicy:
+    """A policy as a block, and the one beside it.
+
+    Args:
+        a: the policy that drives at first.
+        b: the other one, which writes `PAIRED` into states of its own.
+        states: of the workflow.
+        names: of A and B in the workflow; the second begins the names of B's states.
+        every: ticks of the workflow in one of the policies.
+        blend: duration of a blend in [s].
+        bound: largest difference of a target of B from A's, and step of it in a tick, in [rad].
+        limit: longest time of a tick of B in [s].
+        tell: takes what happens, one line.
+
+    Attributes:
+        contract: of A.
+        names: of A and B in the workflow.
+        driving: 1 where B drives or is to, else 0.
+        reads, writes: states.
+    """
+
+    memory = (
+        "a", "b", "driving", "_step", "_good", "_late", "_lost", "_armed", "_frozen", "_idle",
+        "_last", "_largest", "_sum", "_count", "_events", "_why",
+    )  # fmt: skip
+
+    def __init__(
+        self,
+        a: Policy,
+        b: Policy,
+        states: States,
+        names: tuple[str, str],
+        *,
+        every: int,
+        blend: float,
+        bound: float,
+        limit: float,
+        tell: Callable[[str], None],
+    ) -> None:
+        self.a, self.b, self.contract = a, b, a.contract
+        self.name, self.names, self.endless = a.name, names, True
+        self._tell, self._bound, self._limit, self._every = tell, bound, limit, every
+        period, prefix = a.contract.period, f"{names[1]}_"
+        self._steps = max(round(blend / period), 1) + 1
+        self._calm = max(round(CALM / period), 1)
+        self._joints = states.layout.specs["joint_pos_target"].names
+        self._live = [states[name] for name in PAIRED]
+        self._theirs = [states[prefix + name] for name in PAIRED]
+        self._gains = [(p.action_map.stiffness.copy(), p.action_map.damping.copy()) for p in (a, b)]
+        own = ("target_difference", "share", "time", "request")
+        self._difference, self._share, self._time, self._request = (
+            states[prefix + name] for name in own
+        )
+        self._last = np.full_like(self._live[0], np.nan)
+        self.driving = self._step = self._good = self._late = self._idle = self._count = 0
+        self._lost, self._why = ["", ""], "it has not run yet"
+        self._armed = self._frozen = False
+        self._largest, self._sum = np.zeros_like(self._last), np.zeros_like(self._last, np.float64)
+        self._events: list[str] = []
+        self._ran = self._asked = False
+        self._spent = 0.0
+        heard = (prefix + "time", prefix + "request")
+        self.heard, self.written = heard, tuple(prefix + name for name in own[:2])
+        writes = [*a.writes, *b.writes, *(prefix + name for name in PAIRED), *self.written]
+        self.writes = tuple(dict.fromkeys(writes))
+        reads = dict.fromkeys([*a.reads, *b.reads, *heard])
+        self.reads = tuple(name for name in reads if name not in self.writes)
+
+    # -- requests -------------------------------------------------------------------------------
+
+    def ask(self) -> tuple[bool, str]:
+        """Ask for the other policy, from any thread; return whether that is granted, and a line."""
+        reason = "it was asked for just now" if self._asked else self.refusal()
+        if reason:
+            return False, f"refused: {reason}"
+        self._asked = True
+        a, b = self.names
+        return True, f"back to {a}" if self.driving else f"{b} takes over from {a}"
+
+    def refusal(self) -> str:
+        """Return why the other policy may not drive now, "" where it may."""
+        a, b = self.names
+        if self._idle > self._every:
+            return f"policy {a} does not run"
+        if self._lost[not self.driving]:
+            return f"{self.names[not self.driving]} is out: {self._lost[not self.driving]}"
+        if self.driving:
+            return ""
+        if self._armed:
+            return f"{b} waits for its gait phase already"
+        if self._step:
+            return f"the blend back to {a} goes on"
+        if self._good < self._calm:
+            seconds = self._good * self.contract.period
+            return f"{b} has been fit for {seconds:.2f} s of {CALM:g} s: {self._why}"
+        return ""
+
+    def hear(self) -> None:
+        """Write request and time of B into their states, right behind `recv`: a replay has them."""
+        self._request[...] = self._asked
+        self._time[...] = self._spent
+
+    # -- in the tick ----------------------------------------------------------------------------
+
+    def __call__(self) -> bool:
+        """Run one tick of what drives.
+
+        Raises:
+            Fault: as of `Policy`, of A where it drives or B cannot.
+        """
+        self._ran = True
+        if self._request:
+            self._swap()
+        if self._armed and self._in_phase():
+            self._armed, self.driving, self._good, self._why = False, 1, 0, "it has just driven"
+            self._note(f"{self.names[1]} takes over")
+        if not (self.driving or self._step):
+            return self.a()
+        self._both()
+        return False
+
+    def _both(self) -> None:
+        error = self._tick(0)
+        if error is not None and not self.driving:
+            raise error
+        if self._slow() and self.driving:
+            self._return(self._too_slow())
+        if not self._frozen:
+            failed = self._tick(1)
+            reason = self._lost[1] if failed is not None else self._jump()
+            if reason:
+                self._theirs[0][...] = self._last
+                self._return(reason)
+            self._last[...] = self._theirs[0]
+        self._step += 1 if self.driving else -1
+        self._step = min(max(self._step, 0), self._steps)
+        self._mix(self._step / self._steps)
+        if not self._step and self._frozen:
+            self._frozen = False
+            self._begin()
+
+    def _mix(self, share: float) -> None:
+        (target, stiffness, damping), mine, theirs = self._live, *self._gains
+        self._share[...] = share
+        ours = self.a.target.reshape(target.shape)
+        pairs = zip((target, stiffness, damping), (ours, *mine), (self._theirs[0], *theirs))
+        for live, own, other in pairs:
+            live[...] = other if share == 1.0 else own + np.float32(share) * (other - own)
+
+    def _tick(self, number: int) -> BaseException | None:
+        """Run A or B, whose mistake is returned and noted: it is out then."""
+        if self._lost[number]:
+            return None
+        began = time.perf_counter()
+        try:
+            (self.a, self.b)[number]()
+        except Exception as error:  # whatever a network raises, the other one goes on
+            self._lost[number] = f"{type(error).__name__}: {error}"
+            self._good = 0
+            self._note(f"{self.names[number]} is out: {self._lost[number]}")
+            return error
+        if number:
+            self._spent = time.perf_counter() - began
+        return None
+
+    def _slow(self) -> bool:
+        self._late = self._late + 1 if self._time > self._limit else 0
+        return self._late >= LATE
+
+    def _too_slow(self) -> str:
+        return f"{LATE} ticks took longer than {self._limit * 1e3:.3g} ms"
+
+    def _jump(self) -> str:
+        step = np.abs(self._theirs[0] - self._last)
+        worst = int(np.argmax(np.where(np.isnan(step), 0.0, step)))
+        if step[worst] > self._bound:
+            return f"its target of {self._joints[worst]} steps by {step[worst]:.2f} rad"
+        return ""
+
+    def _in_phase(self) -> bool:
+        clock = self.b.phase
+        return clock is None or clock.begins
+
+    def _swap(self) -> None:
+        self._asked = False
+        if reason := self.refusal():
+            self._note(f"swap refused: {reason}")
+        elif self.driving:
+            self.driving = 0
+            self._note(f"back to {self.names[0]}")
+        else:
+            self._armed = True
+
+    def _return(self, reason: str) -> None:
+        """Let A drive again, from B's last good target on."""
+        if self._lost[0]:
+            raise Fault(f"policy {self.names[1]}: {reason}; {self.names[0]}: {self._lost[0]}")
+        if self.driving:
+            self._note(f"back to {self.names[0]} by itself: {self.names[1]}: {reason}")
+        self.driving, self._frozen, self._good, self._why = 0, True, 0, reason
+
+    def _note(self, text: str) -> None:
+        self._events.append(text)
+        self._tell(f"shadow: {text}")
+
+    # -- behind send ----------------------------------------------------------------------------
+
+    def observe(self) -> None:
+        """Tick B where it does not drive, compare, and give both what was executed."""
+        if not self._ran:
+            self._idle += 1
+            if self._idle > self._every:
+                self._good, self._armed, self._asked = 0, False, False
+            return
+        self._ran, self._idle = False, 0
+        alone = not (self.driving or self._step)
+        if alone and not self._lost[1]:
+            self._shadow()
+        if not alone:
+            self.a.executed(self._live[0])
+        if not (self.driving and self._step == self._steps):
+            self.b.executed(self._live[0])
+        self._compare()
+
+    def _shadow(self) -> None:
+        if self._slow():
+            self._lost[1] = self._too_slow()
+            self._note(f"{self.names[1]} is out: {self._lost[1]}")
+        elif self._tick(1) is None:
+            why = self._jump()
+            self._last[...] = self._theirs[0]
+            apart = np.abs(self._theirs[0] - self.a.target.reshape(-1))
+            worst = int(np.argmax(apart))
+            if not why and apart[worst] > self._bound:
+                why = f"its target of {self._joints[worst]} is {apart[worst]:.2f} rad from that of "
+                why += f"{self.names[0]}"
+            if not why and self._late:
+                why = f"a tick took {float(self._time) * 1e3:.3g} ms"
+            self._good = 0 if why else self._good + 1
+            self._why = why or self._why
+            if why and self._armed:
+                self._armed = False
+                self._note(f"swap given up: {why}")
+
+    def _compare(self) -> None:
+        if self._lost[0] or self._lost[1] or self._frozen:
+            return
+        difference = self._difference
+        np.subtract(self._theirs[0], self.a.target.reshape(-1), out=difference)
+        self._sum += np.square(difference)
+        np.maximum(self._largest, np.abs(difference), out=self._largest)
+        self._count += 1
+
+    def _begin(self) -> None:
+        if not self._lost[1]:
+            self.b.reset()
+        self._last[...] = np.nan
+        self._good = self._late = 0
+
+    # -- as of a policy -------------------------------------------------------------------------
+
+    def warm_up(self) -> None:
+        """Take the path of a tick and discard the result."""
+        self.a.warm_up()
+        if self._step and not self._lost[1]:
+            self.b.warm_up()
+
+    def reset(self) -> None:
+        """Begin anew with the policy that drives."""
+        self.a.reset()
+        self._begin()
+        self._step = self._steps if self.driving else 0
+        self._armed = self._frozen = False
+
+    def found(self) -> AnyDict:
+        """Return what was seen, for a report."""
+        rms = np.sqrt(self._sum / max(self._count, 1))
+        worst = int(np.argmax(self._largest))
+        gains = [np.abs(x - y).max() for x, y in zip(*self._gains)]
+        says = f"{self._largest[worst]:.3g} rad apart at most, of {self._joints[worst]}, in "
+        says += "; ".join([f"{self._count} ticks", *self._events[-3:]])
+        return {
+            "says": says,
+            "policy": str(self.b.contract.path),
+            "drives": self.names[self.driving],
+            "ticks": self._count,
+            "largest_rad": round(float(self._largest[worst]), 4),
+            "joint": self._joints[worst],
+            "rms_rad": dict(zip(self._joints, rms.round(4).tolist())),
+            "stiffness": round(float(gains[0]), 3),
+            "damping": round(float(gains[1]), 3),
+            "out": self._lost[1],
+            "events": list(self._events),
+        }
