@@ -39,7 +39,7 @@ OFTEN = 0.02
 LONGEST = 1000
 """Of names and answers, in [B]."""
 
-_ACTS = ("start", "stop", "reset", "pause", "step")
+_ACTS = ("start", "stop", "reset", "pause", "step", "swap")
 
 
 class Driver:

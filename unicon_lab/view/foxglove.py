@@ -89,7 +89,7 @@ ANSWER = 2.0
 LOUD, LINES = 1.0, 10
 """Of what is told of refused messages: so many lines in that time [s]."""
 
-_ACTS = ("start", "stop", "estop", "pause", "step", "reset")
+_ACTS = ("start", "stop", "estop", "pause", "step", "reset", "swap")
 
 
 class Foxglove:

@@ -18,6 +18,7 @@ from unicon_core.states import Layout, StateSpec
 from unicon_core.terrain.words import Terrain
 from unicon_core.workflow import Program
 from unicon_core.workflow.flow_yaml import skills_of
+from unicon_core.workflow.shadow import shadowed_in
 from unicon_ros.parameter_table import AT_ONCE, RANGES
 from unicon_ros.peripheral import peripheral_states
 
@@ -107,6 +108,7 @@ class Shown:
         map: name of the message map.
         frame_prefix: of ROS frames.
         terrain: the ground under a simulated robot, None for flat.
+        swaps: a policy ticks beside another one and may replace it.
     """
 
     workflow: str
@@ -125,6 +127,7 @@ class Shown:
     map: str = "default"
     frame_prefix: str = ""
     terrain: Terrain | None = None
+    swaps: bool = False
 
     def tell(self, values: Mapping[str, float]) -> None:
         """Note the present values of parameters; in a viewer's process."""
@@ -173,6 +176,7 @@ def shown_of(
         map,
         frame_prefix,
         terrain_of(program.platform),
+        shadowed_in(program.blocks) is not None,
     )
     return shown, variables
 

@@ -192,8 +192,8 @@ class Remote:
             self._publish()
 
     def act(self, name: str, /, **arguments: Any) -> int:
-        """Wish `start`, `stop`, `reset`, `pause`, `step`, `skill` (name) or `set_parameter` (name,
-        value); return the number under which the answer comes."""
+        """Wish `start`, `stop`, `reset`, `pause`, `step`, `swap`, `skill` (name) or
+        `set_parameter` (name, value); return the number under which the answer comes."""
         with self._lock:
             self._acts += 1
             if self._feed is not None:

@@ -18,6 +18,7 @@ from unicon_core.platforms.platform import Pausable
 from unicon_core.runtime import Runner
 from unicon_core.workflow import Program
 from unicon_core.workflow.flow_yaml import skills_of
+from unicon_core.workflow.shadow import shadowed_in
 from unicon_ros import compat
 
 Answer = tuple[bool, str]
@@ -110,6 +111,15 @@ class Controls:
         self._steps += 1
         return True, "one tick"
 
+    def swap(self) -> Answer:
+        """Let the policy that ticks beside the present one drive, or the first one again."""
+        if self.runner is None:
+            return False, "nothing runs"
+        shadowed = shadowed_in(self.runner.program.blocks)
+        if shadowed is None:
+            return False, "this workflow has no shadow; name a policy under shadow:"
+        return shadowed.ask()
+
     def _only_simulators(self, what: str) -> str:
         if self.runner is None:
             return "nothing runs"
@@ -148,6 +158,7 @@ SERVICES = {
     "reset": "resets a simulator and the flow",
     "pause": "pauses a simulator until `~/start` or `~/step`",
     "step": "runs one tick of a paused simulator",
+    "swap": "lets the policy under `shadow:` drive, and the first one again",
     "list_states": "returns the JSON of `~/layout`",
 }
 """Each `~/<name>`, and what it does."""

@@ -220,6 +220,8 @@ class Panel:
             self._acts(gui, "start", "stop")
             if shown.simulated:
                 self._acts(gui, "pause", "step", "reset")
+            if shown.swaps:
+                self._acts(gui, "swap")
             if shown.skills:
                 group = gui.add_button_group("skill", shown.skills)
                 _on(group.on_click, lambda e: self._do("act", "skill", {"name": e.target.value}))
