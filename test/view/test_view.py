@@ -211,6 +211,38 @@ def test_what_it_wishes_is_done_and_answered(rig: Rig) -> None:
     assert not rig.thread.is_alive()
 
 
+SHADOWED = """\
+robot: go2
+platform: fake
+policies: {walk: go2_velocity}
+shadow: {walk: {path: go2_velocity, bound: 3.0, limit: 1.0}}
+flow: {policy: walk}
+safety: [finite]
+"""
+
+
+def test_its_button_lets_the_shadow_drive(tmp_path: Path) -> None:
+    pytest.importorskip("onnxruntime", reason="pip install onnxruntime")
+    (tmp_path / "w.yaml").write_text(SHADOWED)
+    rig = Rig(tmp_path, tmp_path / "w.yaml", rate=50.0)
+    share = rig.program.states["shadow_walk_share"]
+    rig.until(lambda seen: seen["tick"] > 60)
+    for number, (done, text, ends) in enumerate(
+        (
+            (True, "shadow_walk takes over from walk", 1.0),
+            (True, "back to walk", 0.0),
+            (False, "refused: shadow_walk has been fit for 0.", 0.0),
+        ),
+        1,
+    ):
+        rig.say("act", "swap", {})
+        rig.until(lambda seen, number=number: len(seen["answers"]) == number)  # type: ignore[misc]
+        answer = rig.seen()["answers"][-1]
+        assert (answer[1], answer[2][: len(text)]) == (done, text)
+        rig.until(lambda _, ends=ends: share == ends)  # type: ignore[misc]
+    assert rig.end().faults == []
+
+
 def test_an_estop_in_a_pause_ends_it(rig: Rig) -> None:
     rig.until(lambda seen: seen["tick"] > 5)
     rig.say("act", "pause", {})
