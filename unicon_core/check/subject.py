@@ -27,6 +27,7 @@ from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.hardware import can_wait
 from unicon_core.workflow.platforms import facts_of_all, find_platforms, platform_options
 from unicon_core.workflow.program_data import ProgramData
+from unicon_core.workflow.shadow import shadowed_in
 
 
 @dataclass
@@ -56,10 +57,12 @@ class Subject:
 
     @cached_property
     def policies(self) -> dict[str, PolicyContract]:
-        """Key under `policies:` to contract, those that the flow uses."""
+        """Key under `policies:` to contract, those that the flow uses, and what stands beside one."""
         used = [controller_contract(block) for block in self.program.blocks]
         named = self.program.policies.items()
-        return {key: contract for key, contract in named if contract in used}
+        beside = shadowed_in(self.program.blocks)
+        others = {} if beside is None else {beside.names[1]: beside.b.contract}
+        return {key: contract for key, contract in named if contract in used} | others
 
     def policy_results(self, result: CheckResult) -> list[PolicyResult]:
         """Return for each policy of the flow what adds to a result in its name."""
@@ -68,7 +71,8 @@ class Subject:
     def states_of(self, key: str) -> PackedStates:
         """Return the states as one policy sees them: with several, each has its own `action`."""
         states = self.program.states
-        prefix = prefix_of(key, self.program.policies)
+        named = self.program.policies
+        prefix = prefix_of(key, named) if key in named else f"{key}_"
         return PrefixedStates(states, prefix) if prefix else states
 
     @cached_property

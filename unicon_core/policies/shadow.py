@@ -38,6 +38,8 @@ def disagreement(a: PolicyContract, b: PolicyContract) -> str:
             return f"{each.name} follows a motion, which cannot be swapped in the middle"
         if not each.action.of_kind("position").all():
             return f"{each.name} gives velocities or torques; both have to give positions alone"
+    if seen := {*PAIRED} & {term.state for term in b.terms}:
+        return f"{b.name} sees {seen.pop()}, which holds its own targets while it does not drive"
     if not math.isclose(a.period, b.period, rel_tol=1e-6):
         return f"{b.name} has period {b.period:g} s and {a.name} {a.period:g} s"
     if None not in (a.robot, b.robot) and a.robot != b.robot:
