@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import yaml
@@ -115,6 +115,7 @@ def ran(
     overrides: Mapping[str, Any] | None = None,
     text: str = WORKFLOW,
     record: FaultRecord | None = None,
+    speed: Literal["real", "max"] = "max",
 ) -> Ran:
     """Run a workflow for so long, and act behind `send` in ticks of these numbers."""
     path.write_text(text)
@@ -142,7 +143,7 @@ def ran(
     hooks = [hook] if record is None else [hook, record.hook]
     program = Program(load_document(path, overrides or {}), hooks=hooks)
     shadowed = shadowed_in(program.blocks)
-    runner = Runner(program, RunOptions(duration=seconds, speed="max", warn=told.append))
+    runner = Runner(program, RunOptions(duration=seconds, speed=speed, warn=told.append))
     if record is not None:
         record.attach(runner)
     report = runner.run()

@@ -57,7 +57,7 @@ class Subject:
 
     @cached_property
     def policies(self) -> dict[str, PolicyContract]:
-        """Key under `policies:` to contract, those that the flow uses, and what stands beside one."""
+        """Key under `policies:` to contract, of those that the flow uses and of a shadow."""
         used = [controller_contract(block) for block in self.program.blocks]
         named = self.program.policies.items()
         beside = shadowed_in(self.program.blocks)

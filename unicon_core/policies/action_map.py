@@ -131,11 +131,9 @@ class ActionMap:
         Returns:
             Action of shape (m,); 0 where the scale is.
         """
-        at, spec = self._of_action, self._spec
-        action: Float32 = target[at] - spec.offset
-        action[spec.scale == 0.0] = 0.0
-        np.divide(action, spec.scale, out=action, where=spec.scale != 0.0)
-        return action
+        offset, scale = self._spec.offset, self._spec.scale
+        moved: Float32 = np.where(scale == 0.0, 0.0, target[self._of_action] - offset)
+        return moved / np.where(scale == 0.0, 1.0, scale)
 
     def bind_all(
         self,

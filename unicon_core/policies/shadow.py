@@ -12,14 +12,19 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from contextlib import suppress
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from unicon_base import AnyDict, Fault
+from unicon_base import AnyDict, Fault, TextSink
+from unicon_base.arrays import Float32
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.policy import Policy
 from unicon_core.states import States
+
+if TYPE_CHECKING:
+    from unicon_core.workflow.file import ShadowEntry
 
 CALM = 1.0
 """For so long B has to agree with A, finite and in time, before it may drive, in [s]."""
@@ -32,30 +37,29 @@ PAIRED = ("joint_pos_target", "joint_stiffness", "joint_damping")
 def disagreement(a: PolicyContract, b: PolicyContract) -> str:
     """Return why one policy cannot replace another while the robot moves, "" where it can."""
     for each in (a, b):
-        if each.child is not None:
-            return f"{each.name} runs in a process of its own (child), which cannot be swapped"
-        if each.motion is not None or {"motion_joint_pos"} & {*each.outputs}:
-            return f"{each.name} follows a motion, which cannot be swapped in the middle"
-        if not each.action.of_kind("position").all():
-            return f"{each.name} gives velocities or torques; both have to give positions alone"
+        kinds = {
+            "in a child": each.child,
+            "of a motion": each.motion or "motion_joint_pos" in each.outputs,
+            "of velocities or torques": not each.action.of_kind("position").all(),
+        }
+        for kind, found in kinds.items():
+            if found:
+                return f"{each.name} is {kind}, which cannot be swapped"
     if seen := {*PAIRED} & {term.state for term in b.terms}:
-        return f"{b.name} sees {seen.pop()}, which holds its own targets while it does not drive"
+        return f"{b.name} sees {seen.pop()}, which it does not command yet"
     if not math.isclose(a.period, b.period, rel_tol=1e-6):
         return f"{b.name} has period {b.period:g} s and {a.name} {a.period:g} s"
     if None not in (a.robot, b.robot) and a.robot != b.robot:
         return f"{b.name} is of robot {b.robot} and {a.name} of {a.robot}"
-    for what, ours, theirs in (
-        ("joints", a.joints, b.joints),
-        ("action.joints", a.action.joints, b.action.joints),
-    ):
-        if odd := sorted({*ours} ^ {*theirs}):
-            return f"{what} of {b.name} and {a.name} differ in {', '.join(odd)}"
-    for axis, (low, high) in a.command_ranges.items():
-        lowest, highest = b.command_ranges.get(axis, (-math.inf, math.inf))
-        if lowest > low or highest < high:
+    odd = {*a.joints} ^ {*b.joints} or {*a.action.joints} ^ {*b.action.joints}
+    if odd:
+        return f"joints of {b.name} and {a.name} differ in {', '.join(sorted(odd))}"
+    for axis, (low, high) in b.command_ranges.items():
+        lowest, highest = a.command_ranges.get(axis, (-math.inf, math.inf))
+        if lowest < low or high < highest:
             return (
-                f"{b.name} has {axis} [{lowest:g}, {highest:g}], which is less than the [{low:g}, "
-                f"{high:g}] of {a.name}"
+                f"{b.name} has {axis} [{low:g}, {high:g}], which is less than [{lowest:g}, "
+                f"{highest:g}] of {a.name}"
             )
     return ""
 
@@ -68,10 +72,8 @@ class ShadowedPolicy:
         b: the other one, which writes `PAIRED` into states of its own.
         states: of the workflow.
         names: of A and B in the workflow; the second begins the names of B's states.
+        entry: `blend` [s], `bound` [rad] and `limit` [s] of the workflow.
         every: ticks of the workflow in one of the policies.
-        blend: duration of a blend in [s].
-        bound: largest difference of a target of B from A's, and step of it in a tick, in [rad].
-        limit: longest time of a tick of B in [s].
         tell: takes what happens, one line.
 
     Attributes:
@@ -92,23 +94,23 @@ class ShadowedPolicy:
         b: Policy,
         states: States,
         names: tuple[str, str],
-        *,
+        entry: ShadowEntry,
         every: int,
-        blend: float,
-        bound: float,
-        limit: float,
-        tell: Callable[[str], None],
+        tell: TextSink,
     ) -> None:
         self.a, self.b, self.contract = a, b, a.contract
-        self.name, self.names, self.endless = a.name, names, True
-        self._tell, self._bound, self._limit, self._every = tell, bound, limit, every
+        self.names, self.endless = names, True
         period, prefix = a.contract.period, f"{names[1]}_"
-        self._steps = max(round(blend / period), 1) + 1
-        self._calm = max(round(CALM / period), 1)
+        self._tell, self._bound, self._every = tell, entry.bound, every
+        self._limit = entry.limit or 0.5 * period
+        self._steps = max(round(entry.blend / period), 1) + 1
         self._joints = states.layout.specs["joint_pos_target"].names
         self._live = [states[name] for name in PAIRED]
-        self._theirs = [states[prefix + name] for name in PAIRED]
-        self._gains = [(p.action_map.stiffness.copy(), p.action_map.damping.copy()) for p in (a, b)]
+        self._mine, self._theirs = a.target.reshape(-1), states[prefix + PAIRED[0]]
+        self._pairs = [
+            (target, policy.action_map.stiffness, policy.action_map.damping)
+            for policy, target in ((a, self._mine), (b, self._theirs))
+        ]
         own = ("target_difference", "share", "time", "request")
         self._difference, self._share, self._time, self._request = (
             states[prefix + name] for name in own
@@ -121,11 +123,10 @@ class ShadowedPolicy:
         self._events: list[str] = []
         self._ran = self._asked = False
         self._spent = 0.0
-        heard = (prefix + "time", prefix + "request")
-        self.heard, self.written = heard, tuple(prefix + name for name in own[:2])
-        writes = [*a.writes, *b.writes, *(prefix + name for name in PAIRED), *self.written]
-        self.writes = tuple(dict.fromkeys(writes))
-        reads = dict.fromkeys([*a.reads, *b.reads, *heard])
+        *told, spent, request = (prefix + name for name in (*PAIRED, *own))
+        self.heard = (spent, request)
+        self.writes = tuple(dict.fromkeys([*a.writes, *b.writes, *told]))
+        reads = dict.fromkeys([*a.reads, *b.reads, *self.heard])
         self.reads = tuple(name for name in reads if name not in self.writes)
 
     # -- requests -------------------------------------------------------------------------------
@@ -142,18 +143,18 @@ class ShadowedPolicy:
     def refusal(self) -> str:
         """Return why the other policy may not drive now, "" where it may."""
         a, b = self.names
+        other = not self.driving
         if self._idle > self._every:
             return f"policy {a} does not run"
-        if self._lost[not self.driving]:
-            return f"{self.names[not self.driving]} is out: {self._lost[not self.driving]}"
+        if self._lost[other]:
+            return f"{self.names[other]} is out: {self._lost[other]}"
         if self.driving:
             return ""
         if self._armed:
             return f"{b} waits for its gait phase already"
         if self._step:
             return f"the blend back to {a} goes on"
-        if self._good < self._calm:
-            seconds = self._good * self.contract.period
+        if (seconds := self._good * self.contract.period) < CALM:
             return f"{b} has been fit for {seconds:.2f} s of {CALM:g} s: {self._why}"
         return ""
 
@@ -172,8 +173,16 @@ class ShadowedPolicy:
         """
         self._ran = True
         if self._request:
-            self._swap()
-        if self._armed and self._in_phase():
+            self._asked = False
+            if reason := self.refusal():
+                self._note(f"swap refused: {reason}")
+            elif self.driving:
+                self.driving = 0
+                self._note(f"back to {self.names[0]}")
+            else:
+                self._armed = True
+        clock = self.b.phase
+        if self._armed and (clock is None or clock.begins):
             self._armed, self.driving, self._good, self._why = False, 1, 0, "it has just driven"
             self._note(f"{self.names[1]} takes over")
         if not (self.driving or self._step):
@@ -185,29 +194,21 @@ class ShadowedPolicy:
         error = self._tick(0)
         if error is not None and not self.driving:
             raise error
-        if self._slow() and self.driving:
-            self._return(self._too_slow())
+        if (slow := self._slow()) and self.driving:
+            self._return(slow)
         if not self._frozen:
-            failed = self._tick(1)
-            reason = self._lost[1] if failed is not None else self._jump()
-            if reason:
-                self._theirs[0][...] = self._last
+            self._tick(1)
+            if reason := self._lost[1] or self._jump():
+                self._theirs[...] = self._last
                 self._return(reason)
-            self._last[...] = self._theirs[0]
-        self._step += 1 if self.driving else -1
-        self._step = min(max(self._step, 0), self._steps)
-        self._mix(self._step / self._steps)
+            self._last[...] = self._theirs
+        self._step = min(max(self._step + (1 if self.driving else -1), 0), self._steps)
+        self._share[...] = share = self._step / self._steps
+        for live, own, other in zip(self._live, *self._pairs):  # exact at both ends
+            live[...] = (1.0 - share) * own + share * other
         if not self._step and self._frozen:
             self._frozen = False
             self._begin()
-
-    def _mix(self, share: float) -> None:
-        (target, stiffness, damping), mine, theirs = self._live, *self._gains
-        self._share[...] = share
-        ours = self.a.target.reshape(target.shape)
-        pairs = zip((target, stiffness, damping), (ours, *mine), (self._theirs[0], *theirs))
-        for live, own, other in pairs:
-            live[...] = other if share == 1.0 else own + np.float32(share) * (other - own)
 
     def _tick(self, number: int) -> BaseException | None:
         """Run A or B, whose mistake is returned and noted: it is out then."""
@@ -217,41 +218,30 @@ class ShadowedPolicy:
         try:
             (self.a, self.b)[number]()
         except Exception as error:  # whatever a network raises, the other one goes on
-            self._lost[number] = f"{type(error).__name__}: {error}"
-            self._good = 0
-            self._note(f"{self.names[number]} is out: {self._lost[number]}")
+            self._out(number, f"{type(error).__name__}: {error}")
             return error
         if number:
             self._spent = time.perf_counter() - began
         return None
 
-    def _slow(self) -> bool:
-        self._late = self._late + 1 if self._time > self._limit else 0
-        return self._late >= LATE
+    def _out(self, number: int, reason: str) -> None:
+        self._lost[number], self._good, self._armed = reason, 0, False
+        self._note(f"{self.names[number]} is out: {reason}")
 
-    def _too_slow(self) -> str:
-        return f"{LATE} ticks took longer than {self._limit * 1e3:.3g} ms"
+    def _slow(self) -> str:
+        self._late = self._late + 1 if self._time > self._limit else 0
+        return f"{LATE} ticks took over {self._limit * 1e3:.3g} ms" if self._late >= LATE else ""
 
     def _jump(self) -> str:
-        step = np.abs(self._theirs[0] - self._last)
-        worst = int(np.argmax(np.where(np.isnan(step), 0.0, step)))
-        if step[worst] > self._bound:
-            return f"its target of {self._joints[worst]} steps by {step[worst]:.2f} rad"
-        return ""
+        return self._far(self._last, "steps by")
 
-    def _in_phase(self) -> bool:
-        clock = self.b.phase
-        return clock is None or clock.begins
-
-    def _swap(self) -> None:
-        self._asked = False
-        if reason := self.refusal():
-            self._note(f"swap refused: {reason}")
-        elif self.driving:
-            self.driving = 0
-            self._note(f"back to {self.names[0]}")
-        else:
-            self._armed = True
+    def _far(self, other: Float32, text: str) -> str:
+        """Return which target of B is beyond the bound from others, NaN where there are none."""
+        apart = np.nan_to_num(np.abs(self._theirs - other), nan=0.0)
+        worst = int(np.argmax(apart))
+        if apart[worst] <= self._bound:
+            return ""
+        return f"its target of {self._joints[worst]} {text} {apart[worst]:.2f} rad"
 
     def _return(self, reason: str) -> None:
         """Let A drive again, from B's last good target on."""
@@ -282,20 +272,18 @@ class ShadowedPolicy:
             self.a.executed(self._live[0])
         if not (self.driving and self._step == self._steps):
             self.b.executed(self._live[0])
-        self._compare()
+        if not (any(self._lost) or self._frozen):
+            self._difference[...] = self._theirs - self._mine
+            self._sum += self._difference**2
+            np.maximum(self._largest, np.abs(self._difference), out=self._largest)
+            self._count += 1
 
     def _shadow(self) -> None:
-        if self._slow():
-            self._lost[1] = self._too_slow()
-            self._note(f"{self.names[1]} is out: {self._lost[1]}")
+        if slow := self._slow():
+            self._out(1, slow)
         elif self._tick(1) is None:
-            why = self._jump()
-            self._last[...] = self._theirs[0]
-            apart = np.abs(self._theirs[0] - self.a.target.reshape(-1))
-            worst = int(np.argmax(apart))
-            if not why and apart[worst] > self._bound:
-                why = f"its target of {self._joints[worst]} is {apart[worst]:.2f} rad from that of "
-                why += f"{self.names[0]}"
+            why = self._jump() or self._far(self._mine, f"differs from {self.names[0]} by")
+            self._last[...] = self._theirs
             if not why and self._late:
                 why = f"a tick took {float(self._time) * 1e3:.3g} ms"
             self._good = 0 if why else self._good + 1
@@ -304,18 +292,8 @@ class ShadowedPolicy:
                 self._armed = False
                 self._note(f"swap given up: {why}")
 
-    def _compare(self) -> None:
-        if self._lost[0] or self._lost[1] or self._frozen:
-            return
-        difference = self._difference
-        np.subtract(self._theirs[0], self.a.target.reshape(-1), out=difference)
-        self._sum += np.square(difference)
-        np.maximum(self._largest, np.abs(difference), out=self._largest)
-        self._count += 1
-
     def _begin(self) -> None:
-        if not self._lost[1]:
-            self.b.reset()
+        self.b.reset()
         self._last[...] = np.nan
         self._good = self._late = 0
 
@@ -323,9 +301,8 @@ class ShadowedPolicy:
 
     def warm_up(self) -> None:
         """Take the path of a tick and discard the result."""
-        self.a.warm_up()
-        if self._step and not self._lost[1]:
-            self.b.warm_up()
+        with suppress(Exception):  # its tick raises it again, where it can be returned from
+            (self.a, self.b)[self.driving].warm_up()
 
     def reset(self) -> None:
         """Begin anew with the policy that drives."""
@@ -338,7 +315,6 @@ class ShadowedPolicy:
         """Return what was seen, for a report."""
         rms = np.sqrt(self._sum / max(self._count, 1))
         worst = int(np.argmax(self._largest))
-        gains = [np.abs(x - y).max() for x, y in zip(*self._gains)]
         says = f"{self._largest[worst]:.3g} rad apart at most, of {self._joints[worst]}, in "
         says += "; ".join([f"{self._count} ticks", *self._events[-3:]])
         return {
@@ -349,8 +325,5 @@ class ShadowedPolicy:
             "largest_rad": round(float(self._largest[worst]), 4),
             "joint": self._joints[worst],
             "rms_rad": dict(zip(self._joints, rms.round(4).tolist())),
-            "stiffness": round(float(gains[0]), 3),
-            "damping": round(float(gains[1]), 3),
-            "out": self._lost[1],
             "events": list(self._events),
         }

@@ -69,19 +69,18 @@ class PolicyEntry:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ShadowEntry:
+class ShadowEntry(PolicyEntry):
     """A policy that ticks beside another one, and may replace it during a run.
 
     Attributes:
         path: folder or file of the policy: a path, a name or assets:PATH.
         given: facts that its files lack.
+        child: refused.
         blend: time in which the command goes from one policy to the other.
         bound: largest difference of its targets from the other policy's, and step in a tick.
         limit: longest time of its tick; half of its period unless given.
     """
 
-    path: Text
-    given: Annotated[Mapping[str, Any] | None, Write("a mapping of facts")] = None
     blend: Annotated[float, positive(10.0, "s")] = 0.3
     bound: Annotated[float, positive(math.pi, "rad")] = 0.4
     limit: Annotated[float | None, positive(10.0, "s")] = None

@@ -25,7 +25,7 @@ from unicon_core.terrain.heights import Heights
 from unicon_core.terrain.words import FLAT, read_terrain
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.document import WorkflowDocument, read_part
-from unicon_core.workflow.file import PolicyEntry, ShadowEntry
+from unicon_core.workflow.file import PolicyEntry
 from unicon_core.workflow.platforms import facts_of_all, find_platforms
 from unicon_core.workflow.uses import Use
 
@@ -40,29 +40,25 @@ def load_policies(document: WorkflowDocument, robot: Robot) -> dict[str, PolicyC
         PolicyError: a policy is missing, incomplete or contradictory.
         WorkflowError: an entry is of no known form.
     """
-    contracts = {}
-    for name, entry in document.get("policies", {}).items():
-        said = {"path": entry} if isinstance(entry, str) else entry
-        values: PolicyEntry = read_part(document, PolicyEntry, said, "policies", name)
-        contract = load_entry(document, robot, values, f"policy {name!r}")
-        child = ChildSpec() if values.child is True else values.child or None
-        contracts[str(name)] = contract if child is None else replace(contract, child=child)
-    return contracts
+    names = document.get("policies", {})
+    return {str(n): load_entry(document, robot, PolicyEntry, "policies", n)[0] for n in names}
 
 
 def load_entry(
-    document: WorkflowDocument, robot: Robot, entry: PolicyEntry | ShadowEntry, what: str
-) -> PolicyContract:
-    """Load the contract that an entry of a workflow names.
+    document: WorkflowDocument, robot: Robot, kind: type[PolicyEntry], section: str, name: str
+) -> tuple[PolicyContract, Any]:
+    """Load the contract that an entry of a workflow names; return it and the entry.
 
     Args:
         document: the workflow.
         robot: that is to move.
-        entry: `path` and `given`.
-        what: to call it in messages.
+        kind: of the entry.
+        section: of the workflow, `policies` or `shadow`.
+        name: of the entry there.
 
     Raises:
         PolicyError: the policy is missing, incomplete or contradictory.
+        WorkflowError: the entry is of no known form.
     """
 
     def model() -> Path:
@@ -70,19 +66,24 @@ def load_entry(
         named = document.get("scene", {}).get("model")
         return pick_model(robot, named, document.path.parent)
 
-    beside = document.path.parent / entry.path
-    path: str | Path = entry.path
-    if "/" in entry.path and os.path.exists(beside):
+    entry = document.values[section][name]
+    said = {"path": entry} if isinstance(entry, str) else entry
+    values: PolicyEntry = read_part(document, kind, said, section, name)
+    what = f"{section.replace('policies', 'policy')} {name!r}"
+    beside = document.path.parent / values.path
+    path: str | Path = values.path
+    if "/" in values.path and os.path.exists(beside):
         path = beside
     try:
-        contract = load_policy(path, robot=robot, given=entry.given or {}, model=model)
+        contract = load_policy(path, robot=robot, given=values.given or {}, model=model)
     except PolicyError as error:
         raise PolicyError(f"{what}: {error}") from error
     # Before a platform is built: a model of another robot would hide this behind its own error.
     lacking = lacking_joints(contract, robot)
     if lacking and all(lacking_joints(contract, each) for each in robot.members.values()):
         raise PolicyError(f"{what}: {lacking}")
-    return contract
+    child = ChildSpec() if values.child is True else values.child or None
+    return (contract if child is None else replace(contract, child=child)), values
 
 
 def with_weldable(

@@ -20,7 +20,7 @@ from unicon_core.policies.shadow import PAIRED, ShadowedPolicy, disagreement
 from unicon_core.robots import Robot
 from unicon_core.states import StateSpec, standard_states
 from unicon_core.workflow.autowire import BuildContext
-from unicon_core.workflow.document import WorkflowDocument, read_part
+from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.file import ShadowEntry
 from unicon_core.workflow.policies import load_entry, used_policy
 from unicon_core.workflow.uses import Use
@@ -55,33 +55,24 @@ class Shadow:
         joints, prefix = robot.joint_names, self.prefix
         standard = standard_states(joints)
         number = partial(StateSpec, ())
-        said = "target minus that of the policy beside it"
+        said = "target minus the other policy's"
         own = {
             **{name: standard[name] for name in PAIRED},
             "target_difference": StateSpec((len(joints),), "float32", "rad", "", joints, said),
-            "share": number(description="of its targets in the command: 0 in shadow, 1 alone"),
-            "time": number("float32", "s", description="that its last tick took, wall time"),
-            "request": number("int32", description="1 where a swap is asked for"),
+            "share": number(description="of its targets in the command"),
+            "time": number("float32", "s", description="of its last tick"),
+            "request": number("int32", description="1: swap"),
         }
         states = policy_states(self.contract, joints, extra, prefix=prefix)
         return states | {prefix + name: spec for name, spec in own.items()}
 
     def beside(self, policy: Policy, context: BuildContext) -> ShadowedPolicy:
         """Return a policy with the one beside it, as one block."""
-        states, entry, contract = context.states, self.entry, self.contract
+        states, contract = context.states, self.contract
         redirected = PrefixedStates(states, "", {name: self.prefix + name for name in PAIRED})
         other = Policy(contract, redirected, context.robot, prefix=self.prefix)
-        return ShadowedPolicy(
-            policy,
-            other,
-            states,
-            (self.of, f"shadow_{self.of}"),
-            every=round(contract.period / context.period),
-            blend=entry.blend,
-            bound=entry.bound,
-            limit=entry.limit or 0.5 * contract.period,
-            tell=context.tell,
-        )
+        names, every = (self.of, f"shadow_{self.of}"), round(contract.period / context.period)
+        return ShadowedPolicy(policy, other, states, names, self.entry, every, context.tell)
 
 
 def shadow_of(
@@ -103,26 +94,24 @@ def shadow_of(
     def wrong(text: str) -> WorkflowError:
         return document.error(f"shadow: {text}", "shadow")
 
-    name, said = next(iter(listed.items()))
+    name = next(iter(listed))
     if len(listed) > 1:
-        raise wrong(f"one policy has one, here are {', '.join(listed)}; leave all but one out")
+        raise wrong(f"names {', '.join(listed)}; leave all but one out")
     if name not in policies:
         raise wrong(f"no policy {name!r} under 'policies:'; {alternatives(name, policies)}")
     for key in ("num_robots", "parts"):
         if document.values.get(key) is not None:
-            raise wrong(f"it is for one robot in one process; leave out {key}, or shadow")
+            raise wrong(f"it is of one robot in one process; leave out {key}")
     mentions = [u for u in uses if u.word == "policy" and used_policy(u, policies) == name]
     if len(mentions) != 1 or mentions[0].of or mentions[0].options.keys() - {"policy", "use"}:
         raise wrong(
-            f"policy {name!r} stands {len(mentions)} times in the flow; it has to stand there "
-            "once, for the whole robot, without drives and sees_default_for"
+            f"policy {name!r} stands {len(mentions)} times in the flow; write it once, without "
+            "of, drives and sees_default_for"
         )
-    entry = {"path": said} if isinstance(said, str) else said
-    values: ShadowEntry = read_part(document, ShadowEntry, entry, "shadow", name)
-    contract = load_entry(document, robot, values, f"shadow of {name!r}")
+    contract, entry = load_entry(document, robot, ShadowEntry, "shadow", name)
     if why := disagreement(policies[name], contract):
-        raise wrong(f"{why}; give {name!r} a shadow with the same contract, or leave it out")
-    return Shadow(name, contract, values)
+        raise wrong(f"{why}; name another policy, or leave it out")
+    return Shadow(name, contract, entry)
 
 
 def shadowed_in(blocks: Iterable[Block]) -> ShadowedPolicy | None:

@@ -213,8 +213,7 @@ class TwinSession:
         self._wanted: Float64 | None = None
         self._asked: Float32 | None = None
         self.called: frozenset[str] = frozenset()
-        values = {key: said for key, said in document.values.items() if key != "shadow"}
-        alone = replace(document, values=values)  # what stands beside a policy moves nothing
+        alone = replace(document, values=document.values | {"shadow": None})  # it moves nothing
         self.program = Program(alone, hooks=[self._commander], contracts=contracts)
         keys = {id(contract): key for key, contract in self.program.policies.items()}
         self._uses = [
