@@ -132,8 +132,9 @@ class ActionMap:
             Action of shape (m,); 0 where the scale is.
         """
         offset, scale = self._spec.offset, self._spec.scale
-        moved: Float32 = np.where(scale == 0.0, 0.0, target[self._of_action] - offset)
-        return moved / np.where(scale == 0.0, 1.0, scale)
+        action = np.zeros_like(scale)
+        np.divide(target[self._of_action] - offset, scale, out=action, where=scale != 0.0)
+        return action
 
     def bind_all(
         self,
