@@ -30,9 +30,9 @@ from unicon_base.schema.marks import (
 )
 from unicon_base.schema.types import Here
 from unicon_core.bounds import SCALE, Damping, Stiffness
+from unicon_core.policies.chunks import ChunkSpec
 from unicon_core.policies.clock_rate import ClockRate
 from unicon_core.policies.height_scan import HeightScanSpec
-from unicon_core.policies.chunks import ChunkSpec
 from unicon_core.policies.hints import (
     LONGEST_FILTER,
     MOST_FRAMES,

@@ -131,7 +131,7 @@ class Pipe:
             gone = self.process.poll() is not None
             how = "ended at once" if gone else f"did not answer within {patience:g} s"
             raise PlatformError(
-                f"{self._what}: its process {how}; see what it wrote above, or run without that process"
+                f"{self._what}: its process {how}; see what it wrote above, or run without it"
             )
         if "error" in told:
             kind = getattr(errors, told["kind"], PlatformError)
