@@ -257,15 +257,23 @@ def test_without_a_robot_the_joints_are_asked_for(tmp_path: Path) -> None:
 
 
 def test_an_unknown_term_asks_for_its_state(tmp_path: Path) -> None:
-    path = write(tmp_path, ("  base_ang_vel:", "  height_scan:"))
-    with pytest.raises(PolicyError, match=r"observation\.terms\.height_scan\.state"):
+    path = write(tmp_path, ("  base_ang_vel:", "  foot_contacts:"))
+    with pytest.raises(PolicyError, match=r"observation\.terms\.foot_contacts\.state"):
         load_policy(path, robot=robot(MOTORS))
     contract = load_policy(
         path,
         robot=robot(MOTORS),
-        given={"observation": {"terms": {"height_scan": {"state": "base_lin_vel"}}}},
+        given={"observation": {"terms": {"foot_contacts": {"state": "base_lin_vel"}}}},
     )
     assert contract.terms[0].state == "base_lin_vel"
+
+
+def test_a_height_scan_asks_for_its_grid(tmp_path: Path) -> None:
+    path = write(tmp_path, ("  base_ang_vel:", "  height_scan:"))
+    with pytest.raises(PolicyError, match=r"height_scan \(size and resolution of its grid in"):
+        load_policy(path, robot=robot(MOTORS))
+    grid = {"size": [0.2, 0.0], "resolution": 0.1}
+    assert load_policy(path, robot=robot(MOTORS), given={"height_scan": grid}).height_scan
 
 
 def test_the_asset_is_read_in_full(assets: Path) -> None:

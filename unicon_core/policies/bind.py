@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from math import isfinite, prod
+from math import isfinite
 from typing import TypeAlias
 
 import numpy as np
@@ -256,7 +256,8 @@ class Binding:
         """The action has the joints' number; a wrong one is seen in the observation's size, too."""
         joints = self.contract.action.joints
         tensor = self.tensors["output"].get(self.contract.outputs.get("action", ""))
-        if tensor is not None and not tensor.takes(len(joints)):
+        chunk = self.contract.chunk is not None  # its shape is looked at with the outputs
+        if tensor is not None and not chunk and not tensor.takes(len(joints)):
             key = "joints" if joints == self.contract.joints else "action.joints"
             raise self._fail(
                 f"{key} has {len(joints)} names, the network's output {tensor.name!r} "
@@ -298,10 +299,7 @@ class Binding:
             spec = ObservationSpec((ObservationTerm(canonical, canonical),))
             gather = Observation(self.contract, self.states, self.joints, spec)
             values = np.zeros(gather.shape, np.float32)
-            axes = [axis for axis in tensor.shape[1:] if isinstance(axis, int)]
-            if len(axes) == len(tensor.shape) - 1 > 1 and prod(axes) == gather.size:
-                values = values.reshape(self.rows, *axes)
-            elif not tensor.takes(gather.size):
+            if not tensor.takes(gather.size):
                 raise self._fail(
                     f"input {tensor} takes {tensor.width} values and state {canonical!r} has "
                     f"{gather.size}; correct 'inputs' or 'joints'"

@@ -225,6 +225,8 @@ def missing_facts(facts: Facts) -> dict[str, str]:
         said = [dig(term, key) is not None for key in ("name", "state", "value")]
         if said == [True, False, False]:
             missing[f"observation.terms.{term['name']}.state"] = "the state that it is taken from"
+        if dig(term, "state") == "height_scan" and value_of(values, "height_scan") is None:
+            missing["height_scan"] = "size and resolution of its grid in [m]"
     for name, detail in facts.asks.items():
         missing[name] = "; ".join(filter(None, (_ASKED.get(name, ""), detail)))
     return missing
