@@ -210,6 +210,7 @@ setup(
             "diagnose = unicon_lab.commands.diagnose",
             "replay = unicon_lab.commands.replay",
             "report_run = unicon_lab.commands.report_run",
+            "serve = unicon_ros.cli.serve",
             "sweep = unicon_lab.commands.sweep",
             "transfer = unicon_lab.commands.transfer",
             "view = unicon_lab.commands.view",

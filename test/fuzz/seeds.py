@@ -262,6 +262,17 @@ flow: {policy: walk}
 """
 """Files of packages; ours is one."""
 
+REMOTE = """\
+robot: go2
+platform: fake
+rate: 50
+policies:
+  walk:
+    path: go2_velocity
+    remote: {address: "tcp://127.0.0.1:5560", delay: 2, timeout: 0.3, keys: keys}
+flow: hold
+"""
+
 PLATFORMS = (
     "robot: go2\nplatform: {child: fake, silence: 0.05, watchdog: 0.2}\nrate: 50\nflow: hold\n",
     "robot: {body: go2, left_hand: dex3_left}\nplatform: {body: fake, hands: {child: fake}}\n"
@@ -384,6 +395,7 @@ WORKFLOWS = (
     WALK,
     MEMBERS,
     PACKAGES,
+    REMOTE,
     *((_CONFIG / f"{name}.yaml").read_text("utf-8") for name in ("go2_walk", "go2_stand")),
 )
 

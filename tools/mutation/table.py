@@ -32,6 +32,7 @@ HANGS = (
 CLOSED = "test/attack/test_c24_threads.py", *HANGS
 CHILD = "test/platforms/test_child.py", "test/attack/test_child_processes.py"
 CHILD_POLICY = ("test/policies/test_child_policy.py",)
+REMOTE_POLICY = ("test/policies/test_remote_policy.py",)
 FOLLOWED = ("test/blocks/test_forward_command.py",)
 CARRIED = ("test/whole_body/test_gravity.py",)
 REACHED = (
@@ -607,8 +608,21 @@ ROWS = [
     *_rows(
         "policies/networks/child.py",
         CHILD_POLICY,
-        ("Question._look", "if self._network.process.poll() is None:", "if True:"),
+        ("ChildNetwork.look", "if self.process.poll() is not None:", "if False:"),
         ("Question.take", "and self._answered == self._due", ""),
+    ),
+    *_rows(
+        "policies/networks/remote.py",
+        REMOTE_POLICY,
+        ("RemoteNetwork._hear", "if digest != self._digest:", "if False:"),
+        ("RemoteNetwork._hear", "number == self.number != self._number", "True"),
+        ("RemoteNetwork.look", "self.publish()", "pass"),
+        ("fill", "len(body) == states.buffer.size", "True"),
+    ),
+    *_rows(
+        "policies/networks/remote_server.py",
+        REMOTE_POLICY,
+        ("PolicyServer._hear", "elif digest != self.digest:", "elif False:"),
     ),
     *_rows(
         "blocks/forward_command.py",

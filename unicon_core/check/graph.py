@@ -20,6 +20,7 @@ from unicon_core.flow.nodes import children_of, chooser_of, unfused
 from unicon_core.memory import Memory, holder_of
 from unicon_core.policies import PolicyContract
 from unicon_core.policies.controller import controller_contract
+from unicon_core.policies.remote_spec import RemoteSpec
 from unicon_core.robots import joint_index
 from unicon_core.show.text import is_critical
 from unicon_core.states.backends.zmq_socket import WITHOUT_KEYS, is_exposed
@@ -144,6 +145,10 @@ def check_keys(subject: Subject, result: CheckResult) -> None:
     if party is not None and party.keys is None:
         remedy = "start: {together: {…, keys: FOLDER}}"
         found.append(("start.together", [*party.robots.values()], remedy))
+    for name, contract in program.policies.items():
+        if isinstance(contract.child, RemoteSpec) and contract.child.keys is None:
+            where = f"policies.{name}.remote"
+            found.append((where, [contract.child.address], "remote: {…, keys: FOLDER}"))
     for where, addresses, remedy in found:
         if exposed := [*filter(is_exposed, addresses)]:
             result.find(

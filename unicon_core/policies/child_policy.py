@@ -2,6 +2,7 @@
 
     policies:
       plan: {path: ./plan, child: {delay: 3}}
+      walk: {path: ./walk, remote: {address: tcp://10.0.0.5:5560, keys: keys}}   # `unicon serve`
 
 It runs in every tick of the workflow. At its own period it hands its observation over, unless the
 network is still at work on one; `delay` ticks later it takes the action, and holds it until the
@@ -22,7 +23,9 @@ from unicon_core.policies.chunks import DELAY, PREFIX, ChunkSpec, Plan
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.controller import PackedStates, PrefixedStates
 from unicon_core.policies.networks.child import ChildNetwork, Question
+from unicon_core.policies.networks.remote import RemoteNetwork
 from unicon_core.policies.policy import Policy
+from unicon_core.policies.remote_spec import RemoteSpec
 from unicon_core.robots import Robot
 
 AGE = "action_age"
@@ -33,7 +36,7 @@ TIMEOUT = 0.25
 
 
 class ChildPolicy(Policy):
-    """A policy as a block, its network in a child.
+    """A policy as a block, its network in a child or at a server.
 
     Until its first action is there, it holds the targets that were sent last, limp joints where
     they were measured, with the gains of the policy.
@@ -45,7 +48,7 @@ class ChildPolicy(Policy):
         period: of a tick in [s].
         paced: tells whether ticks are paced by the clock; else answers are waited for.
         tell: takes why the flow goes on where it does so at an underrun of `chunk`.
-        network: of the contract, in its child; None starts one.
+        network: of the contract, in its child or remote; None starts or reaches one.
         options: as of `Policy`.
 
     Raises:
@@ -67,11 +70,12 @@ class ChildPolicy(Policy):
         period: float,
         paced: Callable[[], bool],
         tell: Callable[[str], None] = print,
-        network: ChildNetwork | None = None,
+        network: ChildNetwork | RemoteNetwork | None = None,
         **options: Any,
     ) -> None:
         spec = contract.child
         assert spec is not None
+        kind: Any = RemoteNetwork if isinstance(spec, RemoteSpec) else ChildNetwork
         self._spec, self._period, self._paced = spec, period, paced
         self._every = max(round(contract.period / period), 1)
         chunk, moved = contract.chunk, len(contract.action.joints)
@@ -80,7 +84,7 @@ class ChildPolicy(Policy):
         self._ends, self._tell = chunk is not None and chunk.underrun == "done", tell
         due = max(spec.delay, self._plan.steps)  # a new observation goes when the last is answered
         oldest = (spec.delay + -(-due // self._every) * self._every - 1) * period
-        self._timeout, key = spec.timeout or max(TIMEOUT, 2.0 * oldest), "child.timeout"
+        self._timeout, key = spec.timeout or max(TIMEOUT, 2.0 * oldest), f"{kind.key}.timeout"
         if chunk is not None:
             end = (self._plan.ticks - 1) * period + chunk.hold
             if spec.timeout is None or end < spec.timeout:
@@ -94,16 +98,16 @@ class ChildPolicy(Policy):
         if states.num_robots is not None:
             raise PolicyError(
                 f"policy {contract.name}: in a child it drives one robot, not num_robots "
-                f"{states.num_robots}; leave out child"
+                f"{states.num_robots}; leave out {kind.key}"
             )
         mine = network is None
-        self.network: ChildNetwork = network or ChildNetwork(contract)
+        self.network: Any = network or kind(contract)
         try:
             super().__init__(contract, states, robot, network=self.network, **options)
             if self._motion:
                 raise PolicyError(
                     f"policy {contract.name}: its network gives the motion that it follows, "
-                    "which would come late from a child; leave out child, or give motion.file"
+                    f"which would come late from a child; leave out {kind.key}, or give motion.file"
                 )
         except BaseException:
             if mine:
@@ -121,8 +125,11 @@ class ChildPolicy(Policy):
         self._expected = [view[n] if n in contract.inputs else None for n in (PREFIX, DELAY)]
         self._tick, self._asked, self._of, self._due = 0, -1, -1, 0
         self.endless = self.endless and not self._ends
-        own = view.actual(AGE) if isinstance(view, PrefixedStates) else AGE
-        self.writes = (*self.writes, own)
+        measured = self.network.measured
+        self._published += tuple((view[name], value) for name, value in measured.items())
+        names = (AGE, *measured)
+        own = [view.actual(n) if isinstance(view, PrefixedStates) else n for n in names]
+        self.writes = (*self.writes, *own)
         self.reads = tuple(dict.fromkeys([*self.reads, "joint_pos"]))
 
     def __call__(self, warm_up: bool = False) -> bool:
@@ -157,14 +164,14 @@ class ChildPolicy(Policy):
 
     def _answer(self, tick: int) -> None:
         """Take an answer that is due; refuse one that is too old."""
+        self.network.receive()
         if self._asked >= 0 and tick - self._asked >= self._spec.delay:
             self._take(tick)
         self._age[...] = age = (tick - max(self._of, 0)) * self._period
         if age > self._timeout:
             raise Fault(
                 f"policy {self.name}: its newest action is {age:.3g} s old, at most "
-                f"{self._timeout:g} s are allowed: its process {self.network.process.pid} "
-                f"{self._late}"
+                f"{self._timeout:g} s are allowed: {self.network.culprit} {self._late}"
             )
 
     def _take(self, tick: int) -> None:
@@ -216,5 +223,5 @@ class ChildPolicy(Policy):
         self._tick, self._asked, self._of, self._due = 0, -1, -1, 0
 
     def close(self) -> None:
-        """End the child."""
+        """End the child, or leave the server."""
         self.network.close()

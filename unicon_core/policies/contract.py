@@ -55,6 +55,7 @@ from unicon_core.policies.hints import (
     rounded_one,
 )
 from unicon_core.policies.motion.spec import MotionSpec
+from unicon_core.policies.remote_spec import RemoteSpec
 
 ActionKind: TypeAlias = Literal["position", "velocity", "torque"]
 TORCHSCRIPT = (".pt", ".pth", ".jit")
@@ -346,7 +347,7 @@ class PolicyContract(PolicyFacts):
         path: the file that the contract was read from.
         model: the network: `.onnx`, `.pt` for TorchScript, `.safetensors` in LeRobot's folder.
         networks: what runs before the network in `model`, in order.
-        child: how it runs in a process of its own, or None; the workflow says it.
+        child: how it runs in a process of its own or at a server, or None; the workflow says it.
         source: the format that it came from.
         notes: what whoever runs it should know, such as rounding of the source.
     """
@@ -356,7 +357,7 @@ class PolicyContract(PolicyFacts):
     path: Path
     model: Path
     networks: tuple[NetworkPart, ...] = ()
-    child: ChildSpec | None = None
+    child: ChildSpec | RemoteSpec | None = None
     source: str = "policy.yaml"
     notes: tuple[str, ...] = ()
 

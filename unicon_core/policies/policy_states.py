@@ -19,6 +19,7 @@ from unicon_core.policies.motion.follow import MotionClock
 from unicon_core.policies.networks.onnx import chained_outputs
 from unicon_core.policies.observation import Observation
 from unicon_core.policies.phase import COMMAND, SLEWED, CommandSlew, GaitPhase
+from unicon_core.policies.remote_spec import TIMES, RemoteSpec
 from unicon_core.states import States, StateSpec, standard_states
 
 
@@ -66,6 +67,8 @@ def states_of(contract: PolicyContract) -> dict[str, StateSpec]:
             DELAY: StateSpec((1,), description="rows that run until the network answers"),
         }
         states |= {name: spec for name, spec in chunk.items() if name in contract.inputs}
+    if isinstance(contract.child, RemoteSpec):
+        states |= TIMES
     if contract.command is not None:
         command = standard_states(joints)[COMMAND]
         states[SLEWED] = replace(command, description="velocity_command as the policy sees it")

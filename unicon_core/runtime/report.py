@@ -166,6 +166,12 @@ class Report:
                 f"ROS 2         published {self.bridge.get('published', 0)}, "
                 f"received {self.bridge.get('received', 0)} messages"
             )
+        for name, found in self.extra.get("remote", {}).items():
+            times = (
+                f"{what} p50 {found[key]['p50']:.1f} ms, p99 {found[key]['p99']:.1f} ms"
+                for what, key in (("round trip", "round_trip_ms"), ("inference", "inference_ms"))
+            )
+            lines.append(f"remote        {name}: {', '.join(times)}")
         if self.dry:
             lines.append("dry           nothing was sent")
         if shadow is not None:

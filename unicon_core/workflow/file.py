@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from unicon_base import UniconError, alternatives
+from unicon_base import AnyDict, UniconError, alternatives
 from unicon_base.resources import find_config
 from unicon_base.schema.marks import (
     Checked,
@@ -61,11 +61,19 @@ class PolicyEntry:
         path: folder or file of the policy: a path, a name or assets:PATH.
         given: facts that its files lack.
         child: true or options, where it runs in a process of its own.
+        remote: options, where a server runs its network (`unicon serve`).
     """
 
     path: Text
     given: Annotated[Mapping[str, Any] | None, Write("a mapping of facts")] = None
     child: bool | Annotated[Any, Later("unicon_core.policies.contract:ChildSpec")] | None = None
+    remote: Annotated[Any, Later("unicon_core.policies.remote_spec:RemoteSpec")] | None = None
+
+    @staticmethod
+    def between(found: AnyDict, here: Here) -> None:
+        """Note a network that shall run in two places."""
+        if found.get("child") and found.get("remote") is not None:
+            here.value("stands beside child; give one of them", "remote")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -185,7 +193,7 @@ class Workflow:
         map: message map: name or path.
         ros: true to mirror to ROS 2 without being asked.
         states: extra states: name to specification.
-        policies: name to policy: a path, or {path, given, child}.
+        policies: name to policy: a path, or {path, given, child, remote}.
         shadow: name of one of these to the policy that ticks beside it, for comparison and swap.
         skills: what `flow: skills` switches between: name to policy or to {policy or do, …}.
         estimate: blocks that compute what is not measured, right behind recv.

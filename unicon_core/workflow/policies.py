@@ -18,6 +18,7 @@ from unicon_core.policies.contract import ChildSpec
 from unicon_core.policies.controller import ControllerContract, controller_contract, prefix_of
 from unicon_core.policies.driven import DrivenPolicy
 from unicon_core.policies.policy_states import states_of
+from unicon_core.policies.remote_spec import RemoteSpec
 from unicon_core.robots import Robot
 from unicon_core.states import States, StateSpec
 from unicon_core.terrain.height_map import HEIGHT_MAP, MapHeights
@@ -82,7 +83,9 @@ def load_entry(
     lacking = lacking_joints(contract, robot)
     if lacking and all(lacking_joints(contract, each) for each in robot.members.values()):
         raise PolicyError(f"{what}: {lacking}")
-    child = ChildSpec() if values.child is True else values.child or None
+    child = ChildSpec() if values.child is True else values.child or values.remote
+    if isinstance(child, RemoteSpec):
+        child = child.within(document.path.parent)
     return (contract if child is None else replace(contract, child=child)), values
 
 

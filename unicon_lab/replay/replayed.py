@@ -19,6 +19,7 @@ from unicon_base.arrays import Float64
 from unicon_core.flow import Block, Stage, blocks_of, compile_graph
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.memory import Snapshot
+from unicon_core.policies.remote_spec import TIMES
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.phases import Phase
 from unicon_core.runtime.startup_sequence import approach_tree, waiting_tree
@@ -107,6 +108,7 @@ class Replayed:
         needed = {s for block in own for s in (*block.reads, *block.amends)}
         given = {*self.outside.get("input", ()), *self.outside.get("tuned", ())}
         self.beyond = {*self.outside.get("sent", ()), *(given - needed)}
+        self.beyond |= {name for name in self.columns.names if name.endswith(tuple(TIMES))}
 
     def ended(self, row: int) -> None:
         """Take the end of a tick: its states are as the program has left them."""

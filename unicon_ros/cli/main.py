@@ -41,7 +41,7 @@ OURS = {
     "talk": talk.add,
 }
 ORDER = (
-    *("run", "check", "preflight", "emulate", "schema", "show", "export", "states", "bag"),
+    *("run", "check", "preflight", "serve", "emulate", "schema", "show", "export", "states", "bag"),
     *("replay", "diagnose", "analyze", "transfer", "sweep", "view", "bench", "known", "assets"),
     *("latches", "doctor", "talk", "report_run"),
 )

@@ -10,15 +10,17 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Array
 from unicon_base.errors import Fault, PolicyError, UniconError
 from unicon_core.platforms.child.pipe import ALARM, LONGEST, Parent, Pipe, text_of
-from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.contract import ChildSpec, PolicyContract
 from unicon_core.policies.networks import Remembering, open_network
 from unicon_core.policies.networks.onnx_file import Arrays, Tensor
 from unicon_core.signals import SIGNALS
@@ -58,11 +60,17 @@ class ChildNetwork:
     Attributes:
         inputs, outputs: tensors of the network.
         process: the child.
+        key: of the workflow's options.
+        culprit: what has to answer, for messages.
+        measured: states of the policy that the network gives beside its outputs.
 
     Raises:
         UniconError: what was raised there when the network was loaded.
         PolicyError: the child did not start.
     """
+
+    key = "child"
+    measured: Mapping[str, Array] = {}
 
     def __init__(self, contract: PolicyContract) -> None:
         self.what = f"policy {contract.name!r}"
@@ -74,6 +82,7 @@ class ChildNetwork:
         self._child_segment = ""
         self.pipe = Pipe(self.what, {"contract": contract}, _MODULE)
         self.process = self.pipe.process
+        self.culprit = f"its process {self.process.pid}"
         try:
             reply = self.pipe.answer(START, SIGNALS.check)
         except BaseException:
@@ -90,7 +99,7 @@ class ChildNetwork:
             UniconError: the network cannot be bound to them.
             PolicyError: it has been bound to arrays of other shapes.
         """
-        names, layouts = (tuple(inputs), tuple(outputs)), _layouts(inputs, outputs)
+        names, layouts = (tuple(inputs), tuple(outputs)), layouts_of(inputs, outputs)
         if not self._names:
             self._names, self._layouts = names, layouts
             try:
@@ -119,6 +128,22 @@ class ChildNetwork:
         self._segment.unlink()  # nobody else is to find them
         self._reader.unlink()
 
+    def receive(self) -> None:
+        """Look once a tick, whether an answer is due or not."""
+
+    def look(self) -> None:
+        """Look while an answer is awaited.
+
+        Raises:
+            Fault: none will come.
+        """
+        if self.process.poll() is not None:
+            raise Fault(self.pipe.words().get("fault") or self.pipe.end)
+
+    def latency(self) -> AnyDict:
+        """Return what the report of a run says of answers, {} for nothing."""
+        return {}
+
     @property
     def reader(self) -> ShmReader:
         """What takes answers."""
@@ -141,7 +166,7 @@ class ChildNetwork:
         self._reader, self._segment, self._child_segment = None, None, ""
 
 
-def _layouts(inputs: Arrays, outputs: Arrays) -> tuple[Layout, Layout]:
+def layouts_of(inputs: Arrays, outputs: Arrays) -> tuple[Layout, Layout]:
     """Return the layouts of a question and of its answer."""
     questions, answers = (
         {"number": StateSpec((), "int64")}
@@ -158,12 +183,12 @@ class Question:
     """One binding of the network; called, it waits for the answer, as other networks do.
 
     Args:
-        network: in the child.
+        network: in the child, or another one with this interface.
         inputs: arrays that are asked about.
         outputs: arrays that take the answer.
     """
 
-    def __init__(self, network: ChildNetwork, inputs: list[Array], outputs: list[Array]) -> None:
+    def __init__(self, network: Any, inputs: list[Array], outputs: list[Array]) -> None:
         self._network, self._reader = network, network.reader
         asked, answer = network.questions, network.answers
         self._asked = [(asked[f"x{i}"], array) for i, array in enumerate(inputs)]
@@ -201,24 +226,19 @@ class Question:
         reader = self._reader
         end = time.monotonic() + PATIENCE if wait else 0.0
         while not (reader.take() and self._answered == self._due):
-            self._look()
+            self._network.look()
             if not wait:
                 return False
             if time.monotonic() > end:
                 raise Fault(
-                    f"{self._network.what}: its process {self._network.process.pid} has not "
-                    f"answered for {PATIENCE:g} s: it hangs or was stopped"
+                    f"{self._network.what}: {self._network.culprit} has not answered for "
+                    f"{PATIENCE:g} s: it hangs or was stopped"
                 )
             reader.wait(_LOOK)
         for here, there in self._answers:
             here[...] = there
         self._awaited = False
         return True
-
-    def _look(self) -> None:
-        if self._network.process.poll() is None:
-            return
-        raise Fault(self._network.pipe.words().get("fault") or self._network.pipe.end)
 
     def forget(self) -> None:
         """Drop the answer that is awaited; the network begins anew with what is asked next."""
@@ -268,7 +288,7 @@ def main() -> int:
 
 def _prepare(contract: PolicyContract) -> list[str]:
     """Go to the core that is wished; return what was refused."""
-    assert contract.child is not None
+    assert isinstance(contract.child, ChildSpec)
     with suppress(OSError):  # being woken, it takes no core from the tick that woke it
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
     cpu = contract.child.cpu

@@ -26,6 +26,7 @@ PATIENCE = 2.0
 """s until a peer that answers no heartbeat, handshake or connection is given up and tried anew."""
 
 RECONNECT = 0.1  # s between two tries
+KEPT = 8  # messages of a dialogue that wait at each end
 BUFFER = 1 << 16
 """B that the kernel keeps on the way, at least: more of it is only older values after a cut."""
 
@@ -41,24 +42,26 @@ def is_exposed(address: str) -> bool:
         return True
 
 
-def _zmq() -> Any:
+def _zmq(what: str) -> Any:
     try:
         import zmq
     except ImportError as error:
         install = "pip install 'unicon_ros[zmq]' (or: sudo apt install python3-zmq)"
-        raise MissingDependencyError("store zmq", "pyzmq", install) from error
+        raise MissingDependencyError(what, "pyzmq", install) from error
     return zmq
 
 
 class Endpoint:
-    """One end of a PUB/SUB pair which keeps the newest message only; a context of its own.
+    """One end of a PUB/SUB pair which keeps the newest message only, or of a dialogue which keeps
+    `KEPT` of them; a context of its own.
 
     Args:
         what: for messages: whose end it is.
         address: `tcp://host:port` or `ipc://path`; `tcp://127.0.0.1:*` binds a free port.
-        publish: the PUB end, else the SUB end.
+        publish: the PUB end, else the SUB end; None: of a dialogue, ROUTER where it binds, else
+            DEALER. Nobody is waited for: what a peer does not take in time is dropped.
         bind: be there for others, else go to where another end is bound.
-        size: of a message, [B].
+        size: of a message, [B]; of a dialogue the largest that is taken.
         keys: folder with CURVE keys, or None: anybody who reaches the address may join.
         without_keys: listen without keys where other machines reach the address, too.
 
@@ -66,6 +69,7 @@ class Endpoint:
         zmq: the module.
         socket: of ZeroMQ.
         address: where it is bound, with the port.
+        key: public key of this end, "" without keys.
 
     Raises:
         MissingDependencyError: pyzmq is not installed.
@@ -78,13 +82,13 @@ class Endpoint:
         what: str,
         address: str,
         *,
-        publish: bool,
+        publish: bool | None,
         bind: bool,
         size: int,
         keys: str | Path | None,
         without_keys: bool = False,
     ) -> None:
-        self.zmq = zmq = _zmq()
+        self.zmq = zmq = _zmq(what.partition(",")[0])
         if not str(address).startswith(("tcp://", "ipc://")):
             raise StateError(
                 f"{what}: {address!r} is not an address; give tcp://HOST:PORT or ipc://PATH"
@@ -95,27 +99,35 @@ class Endpoint:
                 "give keys=FOLDER (docs/howto/zmq.md), an address of 127.0.0.1 or ipc://, or "
                 "without_keys=True"
             )
+        self.key = ""
         self._guard: Any = None
         self._failures: Any = None
         self._file: tuple[str, int] | None = None  # and its inode
         self._context = zmq.Context()
-        self.socket = self._context.socket(zmq.PUB if publish else zmq.SUB)
+        talks = zmq.ROUTER if bind else zmq.DEALER
+        kind = talks if publish is None else zmq.PUB if publish else zmq.SUB
+        self.socket = self._context.socket(kind)
         options = {
-            zmq.CONFLATE: 1,
             zmq.LINGER: 0,
             zmq.HEARTBEAT_IVL: round(HEARTBEAT * 1e3),
             zmq.HEARTBEAT_TIMEOUT: round(PATIENCE * 1e3),
             zmq.HANDSHAKE_IVL: round(PATIENCE * 1e3),
             zmq.CONNECT_TIMEOUT: round(PATIENCE * 1e3),
             zmq.RECONNECT_IVL: round(RECONNECT * 1e3),
-            zmq.SNDBUF if publish else zmq.RCVBUF: max(BUFFER, 4 * size),
-            # Subscriptions are short; a longer message than ours may be another layout's.
-            zmq.MAXMSGSIZE: BUFFER if publish else 4 * size + (1 << 20),
         }
+        if publish is None:  # what cannot be sent at once is old when somebody is there
+            own = {zmq.IMMEDIATE: 1, zmq.SNDHWM: KEPT, zmq.RCVHWM: KEPT, zmq.MAXMSGSIZE: size}
+        else:
+            own = {
+                zmq.CONFLATE: 1,
+                zmq.SNDBUF if publish else zmq.RCVBUF: max(BUFFER, 4 * size),
+                # Subscriptions are short; a longer message than ours may be another layout's.
+                zmq.MAXMSGSIZE: BUFFER if publish else 4 * size + (1 << 20),
+            }
         try:
-            for option, value in options.items():
+            for option, value in (options | own).items():
                 self.socket.setsockopt(option, value)
-            if not publish:
+            if publish is False:
                 self.socket.setsockopt(zmq.SUBSCRIBE, b"")
             if keys is not None:
                 self._secure(what, Path(keys), bind)
@@ -186,6 +198,7 @@ class Endpoint:
             raise StateError(f"{what}: {own} holds no secret key; {_KEYS}")
         try:
             self.socket.curve_publickey, self.socket.curve_secretkey = public, secret
+            self.key = public.decode()
             if not bind:
                 self.socket.curve_serverkey = loaded[theirs[0]][0]
         except self.zmq.ZMQError as error:
