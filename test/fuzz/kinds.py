@@ -32,6 +32,7 @@ from seeds import (
     HUMANOID,
     INCLUDED,
     LEGGED_GYM,
+    LEROBOT,
     LIMX,
     MEMBERS,
     SET_PATHS,
@@ -152,7 +153,7 @@ def policy(dice: random.Random, folder: Path) -> Reader:
 
 DEPLOYED = (
     ("deploy.yaml", DEPLOY), ("env.yaml", ENV), ("cfg.yaml", LEGGED_GYM), ("cfg.py", HUMANOID),
-    ("params.yaml", LIMX), ("rl_x1.yaml", AGIBOT),
+    ("params.yaml", LIMX), ("rl_x1.yaml", AGIBOT), ("config.json", LEROBOT),
 )  # fmt: skip
 
 
@@ -168,9 +169,17 @@ def deploy(dice: random.Random, folder: Path) -> Reader:
         below.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(POLICY / "policy.onnx", below / f"{network}.onnx")
     given: dict[str, Any] = {}
-    if name in ("env.yaml", "cfg.yaml", "cfg.py"):
+    if name in ("env.yaml", "cfg.yaml", "cfg.py", "config.json"):
         contract = tree((POLICY / "policy.yaml").read_text("utf-8"))
-        given = {key: contract[key] for key in ("joints", "inputs", "outputs", "recurrent")}
+        keys = ["joints", "inputs", "outputs", "recurrent"]
+        if name == "config.json":
+            keys = ["joints", "period", "default_joint_pos", "stiffness", "damping"]
+        given = {key: contract[key] for key in keys if key in contract}
+        if name == "config.json":
+            (path.parent / "model.safetensors").touch()
+            chunk = {"execution": "real_time", "period": 0.02, "hold": 0.1, "underrun": "done"}
+            terms = {"environment_state": {"state": "base_lin_vel"}}
+            given |= {"chunk": chunk, "observation": {"terms": terms}}
     if dice.random() < 0.3:
         given = mutate_tree(given or {"period": 0.02, "action.scale": 0.25}, dice)
         given = given if isinstance(given, dict) else {}

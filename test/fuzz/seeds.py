@@ -14,6 +14,7 @@ __all__ = [
     "HUMANOID",
     "INCLUDED",
     "LEGGED_GYM",
+    "LEROBOT",
     "LIMX",
     "MEMBERS",
     "ONE_BLOCK",
@@ -469,6 +470,18 @@ actions:
     offset: 0.0
     use_default_offset: true
 commands: {base_velocity: {ranges: {lin_vel_x: [-1.0, 1.0], heading: null}}}
+"""
+
+LEROBOT = """\
+type: act
+n_obs_steps: 1
+input_features:
+  observation.state: {type: STATE, shape: [12]}
+  observation.environment_state: {type: ENV, shape: [3]}
+output_features: {action: {type: ACTION, shape: [12]}}
+chunk_size: 20
+n_action_steps: 5
+temporal_ensemble_coeff: null
 """
 
 LEGGED_GYM = """\

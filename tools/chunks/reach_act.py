@@ -257,8 +257,8 @@ def main() -> None:
     out = Path(sys.argv[1])
     sys.path.insert(0, str(Path(__file__).parent))
     out.mkdir(parents=True, exist_ok=True)
-    dataset = demonstrate(out, 450.0)
-    loss = train(windows(dataset), out / "policy", 3000)
+    dataset = demonstrate(out, 420.0)
+    loss = train(windows(dataset), out / "policy", 1200)
     missed, report = evaluate(reaching(out / "policy"), "real")
     found = {
         "loss": loss,

@@ -64,6 +64,8 @@ class OpenLoop:
         self.late = 0 if contract.child is None else contract.child.delay
         if self.late > 1:
             raise UniconError("its child answers some observations only; record it with delay: 1")
+        if contract.chunk is not None:
+            raise UniconError("its network answers with chunks, not with an action a tick")
         self.contract = contract = replace(contract, child=None)
         self._age = f"{prefix}action_age"
         self.network, self.model = open_network(contract), None

@@ -8,7 +8,11 @@ positions in [rad] as actions (`unicon bag export --lerobot`).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Annotated
+
 from unicon_base import AnyDict, alternatives
+from unicon_base.schema.marks import NotEmpty
 from unicon_core.policies.facts import Facts, dig
 from unicon_core.policies.importers.source import Source
 
@@ -29,14 +33,14 @@ def lerobot_facts(source: Source) -> Facts:
     facts.source, facts.network = "LeRobot config.json", source.path.parent / WEIGHTS
     if kind not in _ROWS:
         raise source.wrong("type", f"type: policies that run are {alternatives(kind, _ROWS)}")
-    moved = source.value(list[int], ("output_features", "action", "shape"))[0]
+    moved = source.value(Annotated[list[int], NotEmpty], ("output_features", "action", "shape"))[0]
     names = source.joints(moved, f"the action in {source.path.name} moves {moved}")
     if names is None and source.robot is not None and source.robot.num_joints == moved:
         source.say("joints", list(source.robot.joint_names), "output_features")
         facts.notes.append(f"{source.path.name}: joints are those of {source.robot.name} in order")
     frames = source.whole("n_obs_steps")
     source.say("observation", {"layout": "frame_major", "terms": []}, "input_features")
-    for feature in source.need("input_features"):
+    for feature in source.value(Mapping[str, AnyDict], "input_features"):
         name = feature.removeprefix("observation.")
         if name.startswith("image"):
             raise source.wrong(

@@ -86,7 +86,7 @@ class TorchNetwork:
                 result = module(*tensors)
                 results = result if isinstance(result, (tuple, list)) else (result,)
                 for target, value in zip(targets, results):
-                    target.copy_(value)
+                    target.copy_(value.reshape(target.shape))
 
         before = [np.array(array) for array in outputs.values()]
         try:
