@@ -106,6 +106,8 @@ platform: fake
 rate: 100
 policies:
   walk: {path: go2_velocity, given: {period: 0.02, action.scale: 0.25}}
+shadow:
+  walk: {path: go2_velocity, given: {period: 0.02}, blend: 0.2, bound: 0.5, limit: 0.05}
 commands: [{velocity_command: {constant: [0.5, 0.0, 0.0], limits: [[-1, 1], [-1, 1], [-1, 1]]}}]
 flow:
   chain:
@@ -406,7 +408,8 @@ SET_PATHS = (
     "safety.only", "safety.1", "safety.7.observation_stop.file",
     "rate", "duration", "robot", "platform", "platforms", "scene", "flow", "safety",
     "safety.0", "commands", "commands.0", "states", "states.x", "states.tick", "policies",
-    "policies.walk", "policies.walk.given", "check", "check.accept", "pacing", "num_robots", "map",
+    "policies.walk", "policies.walk.given", "shadow", "shadow.walk", "shadow.run", "check",
+    "check.accept", "pacing", "num_robots", "map",
     "flow.chain.0", "flow.chain.0.pose.to", "flow.chain.1.loop.until", "deferred", "name", "ros",
     "robot.body", "robot.left_hand", "platform.body", "platform.hands", "platforms.left_hand",
     "schema", "description", "a", "", ".", "a.b.c", "safety.99", "flow.chain.x",
