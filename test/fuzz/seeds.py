@@ -510,7 +510,7 @@ period: 0.02
 joints: [FR_hip_joint, FR_thigh_joint, FR_calf_joint, FL_hip_joint, FL_thigh_joint, FL_calf_joint,
   RR_hip_joint, RR_thigh_joint, RR_calf_joint, RL_hip_joint, RL_thigh_joint, RL_calf_joint]
 default_joint_pos: [-0.1, 0.8, -1.6, 0.1, 0.8, -1.6, -0.1, 0.8, -1.6, 0.1, 0.8, -1.6]
-action: {scale: 0.25}
+action: {scale: 0.25, joints: [FR_hip_joint, FR_thigh_joint], extra: rate}
 stiffness: 40.0
 damping: 1.0
 observation:
@@ -524,7 +524,8 @@ observation:
   - {name: joint_pos, state: joint_pos, subtract: default_joint_pos}
   - {name: last_action, state: action}
   - {name: pad, value: [0.0, 0.5]}
-phase: {period: 1.0, rate: {state: velocity_command, index: 0, scale: 2.0, offset: 1.0}}
+  - {name: more, state: rate}
+phase: {period: 1.0, rate: {state: rate, index: 9, scale: 2.0, offset: 1.0}}
 motion: {duration: 2.0, start: 0.1, hold: 0.1}
 inputs: {observation: obs}
 outputs: {action: actions}

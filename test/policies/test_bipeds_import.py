@@ -349,7 +349,7 @@ def test_a_policy_of_agibot_stands_while_the_command_is_zero(tmp_path: Path) -> 
     assert contract.period == pytest.approx(0.01)
     assert contract.model == tmp_path / "policy" / "walk.onnx"
     (note,) = contract.notes
-    assert "left_ankle_joint the torque of the gains through that low pass" in note
+    assert "gives left_ankle_joint filtered torques" in note
     policy, states = policy_of(contract)
     for k in range(1, 5):
         states.velocity_command = [0.5 if k > 2 else 0.0, 0.0, 0.25 if k > 2 else 0.0]

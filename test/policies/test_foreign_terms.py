@@ -296,6 +296,46 @@ def test_an_output_sets_the_rate_of_the_clock_from_the_next_tick_on(tmp_path: Pa
         policy.reset()  # the rate as well
 
 
+@pytest.mark.parametrize("rows", [None, 2])
+def test_the_last_elements_of_the_action_may_be_the_rate(tmp_path: Path, rows: int | None) -> None:
+    shapes: dict[str, list[int | str]] = {"obs": [1, 6], "actions": [1, 6]}
+    write_graph(tmp_path / "policy.onnx", "actions = Identity(obs)", ["obs"], shapes, {})
+    values = toy_values(
+        action={"scale": 0.25, "clip": [-0.5, 0.5], "extra": "phase_rate"},
+        observation={"terms": [
+            {"name": "vel", "state": "joint_vel"}, {"name": "rate", "value": [7.0, 1.75]},
+        ]},
+        phase=clock_values({"state": "phase_rate", "index": 1}, offsets=[0.0]),
+    )  # fmt: skip
+    contract = load_policy(write_toy(tmp_path, values))
+    again = load_policy(write_policy_yaml(contract, tmp_path / "written"))
+    assert again.action.extra == "phase_rate"
+    states = States(standard_states(JOINTS) | policy_states(contract, JOINTS), rows)
+    policy = Policy(contract, states, robot())
+    states.joint_vel = [1.0, 2.0, 3.0, 4.0]
+    for _ in range(2):
+        for turns in (0.0, 0.02 * 1.75):
+            policy()
+            same(states.action, [[1.0, 2.0, 3.0, 4.0]] * (rows or 1))
+            same(states.phase_rate, [[7.0, 1.75]] * (rows or 1))
+            np.testing.assert_allclose(states.gait_phase_sin, np.sin(2 * np.pi * turns), atol=1e-6)
+        policy.reset()
+        assert not states.phase_rate.any()
+    assert "phase_rate" in policy.writes
+    assert "beyond the joints: state phase_rate" in policy_table(contract)
+
+
+def test_an_action_without_more_than_the_joints_has_nothing_extra(tmp_path: Path) -> None:
+    action = {"scale": 0.25, "extra": "rate"}
+    with pytest.raises(PolicyError, match=r"action.extra is 'rate', and .* no more than the 4"):
+        seen_by(tmp_path, [{"name": "one", "value": 1.0}], 1, action=action)
+    for name in ("action", "joint_pos", "observation"):
+        with pytest.raises(PolicyError, match=f"extra is '{name}', a state that is there; give"):
+            seen_by(tmp_path, [{"name": "a", "value": 1}], 1, action={**action, "extra": name})
+    with pytest.raises(PolicyError, match=r"action.extra is ''; write"):
+        seen_by(tmp_path, [{"name": "one", "value": 1.0}], 1, action={**action, "extra": ""})
+
+
 @pytest.mark.parametrize(
     ("rate", "message"),
     [

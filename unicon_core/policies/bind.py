@@ -193,6 +193,7 @@ class Binding:
     feeds: dict[str, Array] = field(default_factory=dict)
     fetches: dict[str, Array] = field(default_factory=dict)
     published: list[Published] = field(default_factory=list)
+    split: tuple[Published, ...] = ()
 
     def __post_init__(self) -> None:
         self.rows = self.states.num_robots or 1
@@ -256,8 +257,16 @@ class Binding:
         """The action has the joints' number; a wrong one is seen in the observation's size, too."""
         joints = self.contract.action.joints
         tensor = self.tensors["output"].get(self.contract.outputs.get("action", ""))
-        chunk = self.contract.chunk is not None  # its shape is looked at with the outputs
-        if tensor is not None and not chunk and not tensor.takes(len(joints)):
+        extra, chunk = self.contract.action.extra, self.contract.chunk
+        if tensor is not None and extra is not None:
+            if self.contract.child is not None:
+                raise self._fail("action.extra does not go with child; run it in the tick")
+            if not isinstance(tensor.width, int) or tensor.width <= len(joints):
+                raise self._fail(
+                    f"action.extra is {extra!r}, and the output {tensor} has no more than the "
+                    f"{len(joints)} joints; leave it out"
+                )
+        elif tensor is not None and chunk is None and not tensor.takes(len(joints)):
             key = "joints" if joints == self.contract.joints else "action.joints"
             raise self._fail(
                 f"{key} has {len(joints)} names, the network's output {tensor.name!r} "
@@ -315,7 +324,13 @@ class Binding:
         action = output = np.zeros((self.rows, moved), np.float32)
         for canonical, name in self.contract.outputs.items():
             tensor, values = self._tensor("output", name), action
-            if canonical != "action":
+            if canonical == "action" and (extra := self.contract.action.extra) is not None:
+                values = np.zeros((self.rows, int(tensor.width)), np.float32)
+                more = values[:, action.shape[1] :]
+                rest = np.zeros(more.shape, np.float32)
+                self.split = (action, values[:, : action.shape[1]]), (rest, more)
+                self._publish(extra, rest)
+            elif canonical != "action":
                 if canonical not in self.states:
                     continue
                 width = self.states[canonical].size // self.rows
@@ -334,7 +349,7 @@ class Binding:
                 self._publish(canonical, action)
                 continue
             self.fetches[name] = values
-            self._publish(canonical, values)
+            self._publish(canonical, action if canonical == "action" else values)
         return action, output
 
     def _memory(self) -> list[tuple[Array, Array]]:
@@ -376,4 +391,11 @@ class Binding:
         def part(arrays: dict[str, Array], row: slice) -> dict[str, Array]:
             return {name: tensors[name].shaped(array[row]) for name, array in arrays.items()}
 
-        return [self.network.bind(part(self.feeds, row), part(self.fetches, row)) for row in slices]
+        calls = [
+            self.network.bind(part(self.feeds, row), part(self.fetches, row)) for row in slices
+        ]
+        return [*calls, self._divide] if self.split else calls
+
+    def _divide(self) -> None:
+        for target, source in self.split:
+            target[...] = source

@@ -175,6 +175,8 @@ class ActionSpec:
         kinds: what each joint is given: a `position` in [rad], a `velocity` in [rad/s] or a
             `torque` in [N·m]; empty where all are positions.
         filter: of the clipped action, or None.
+        extra: state that takes the output's values beyond those of the joints, such as the rate of
+            a clock; or None.
     """
 
     joints: tuple[str, ...]
@@ -184,6 +186,7 @@ class ActionSpec:
     feedback: Literal["raw", "clipped", "filtered"] = "raw"
     kinds: tuple[ActionKind, ...] = ()
     filter: FilterSpec | None = None
+    extra: str | None = None
 
     def of_kind(self, kind: ActionKind) -> Bool:
         """Return which joints are given this kind of target, shape (m,)."""

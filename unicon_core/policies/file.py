@@ -19,7 +19,7 @@ from unicon_base import AnyDict, PolicyError, alternatives
 from unicon_base.arrays import Float32
 from unicon_base.located_yaml import Where
 from unicon_base.resources import file_beside
-from unicon_base.schema.marks import Matches, Names, NotEmpty, Within, Write
+from unicon_base.schema.marks import Matches, Names, NotEmpty, Text, Within, Write
 from unicon_base.schema.read import refuse
 from unicon_base.schema.records import record_of
 from unicon_base.schema.types import Here, Mistakes
@@ -199,6 +199,7 @@ class ActionFile:
         joints: the joints that are moved, in output order; all unless given.
         filter: of the clipped action.
         feedback: what the state `action` holds: the network's output raw, clipped or filtered.
+        extra: state that takes the output's values beyond those of the joints.
     """
 
     scale: Annotated[Float32, each(_Figure)]
@@ -208,6 +209,7 @@ class ActionFile:
     joints: Names | None = None
     filter: ActionFilter | None = None
     feedback: Literal["raw", "clipped", "filtered"] = "raw"
+    extra: Text | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -363,4 +365,5 @@ def _action(said: ActionFile, joints: tuple[str, ...], default: Float32) -> Acti
         said.feedback,
         () if {*kinds} == {"position"} else tuple(kinds),
         said.filter and FilterSpec(**asdict(said.filter)),
+        said.extra,
     )

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import prod
 
+from unicon_base import PolicyError
 from unicon_base.arrays import Array
 from unicon_core.policies.chunks import DELAY, PREFIX
 from unicon_core.policies.contract import PolicyContract
@@ -85,6 +86,15 @@ def states_of(contract: PolicyContract) -> dict[str, StateSpec]:
         states[HEIGHT_SCAN] = contract.height_scan.state()
     if contract.motion is not None:
         states |= _followed(contract)
+    action = contract.action
+    if action.extra in {*states, *standard_states(("joint",)), "observation"}:
+        text = f"action.extra is {action.extra!r}, a state that is there; give another name"
+        raise PolicyError(f"policy {contract.name}: {text}")
+    if action.extra is not None and not contract.is_torchscript:
+        made = chained_outputs(contract).get(contract.outputs.get("action", ""))
+        if made is not None and isinstance(made.width, int):
+            size = max(made.width - len(action.joints), 1)
+            states[action.extra] = StateSpec((size,), description="further outputs")
     more = {name: out for name, out in contract.outputs.items() if name != "action"}
     if more and not contract.is_torchscript:
         tensors = chained_outputs(contract)
@@ -155,6 +165,7 @@ def fed_back(contract: PolicyContract, states: PackedStates) -> list[Array]:
     if contract.phase is not None and contract.phase.rate is not None:
         read.add(contract.phase.rate.state)
     names = ["action", *(name for name in contract.outputs if name in read and name != "action")]
+    names += [contract.action.extra] if contract.action.extra else []
     return [states[name] for name in names if name in states]
 
 
@@ -176,7 +187,7 @@ def reads_writes(
     """
     own = ["observation", "action", PREFIX, DELAY, *derived_states(contract)]
     own += [name for part in before for name in part.writes]
-    own += [*contract.outputs, "motion_command"]
+    own += [*contract.outputs, "motion_command", contract.action.extra or "action"]
     read = [name for part in before for name in part.reads]
     if tracker is not None:
         own += tracker.writes

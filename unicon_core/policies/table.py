@@ -74,6 +74,8 @@ def policy_table(contract: PolicyContract, robot: Robot | None = None) -> str:
     lines.append(
         f"action       target = offset + scale · {value}; last action is the {action.feedback} one"
     )
+    if action.extra is not None:
+        lines.append(f"extra        outputs beyond the joints: state {action.extra}")
     if action.filter is not None:
         lines.append(f"filter       {action.filter}, begins with {action.filter.start}")
     if (chunk := contract.chunk) is not None:

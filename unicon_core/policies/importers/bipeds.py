@@ -129,9 +129,9 @@ def agibot_facts(source: Source) -> Facts:
     source.say("phase", phase, f"{walk}.cycle_time")
     listed = ", ".join(source.value(list[str], f"{at}.lpf_conf.paralle_list"))
     facts.notes.append(
-        f"{source.path.name}: its program sends positions at 1 kHz through a low pass of wc "
-        f"{source.number(f'{at}.lpf_conf.wc'):g} rad/s, and {listed} the torque of the gains "
-        "through that low pass; here the servos have the gains, and nothing is filtered"
+        f"{source.path.name}: its program filters positions at 1 kHz (wc "
+        f"{source.number(f'{at}.lpf_conf.wc'):g} rad/s) and gives {listed} filtered torques; here "
+        "the servos have the gains, and nothing is filtered"
     )
     named = source.need(f"{at}.onnx_conf.policy_file")
     path = f"policy/{Path(named).name}" if isinstance(named, str) else named
@@ -190,14 +190,12 @@ def limx_facts(source: Source) -> Facts:
     axes = ("lin_vel_x", "lin_vel_y", "ang_vel_z")
     facts.say("command_ranges", {axis: [-_STICK, _STICK] for axis in axes}, "its program's stick")
     facts.notes.append(
-        f"{source.path.name}: velocity_command is scaled by user_cmd_scales, as its program does "
-        f"with the stick's ±{_STICK:g}; at 500 Hz that program keeps torques within "
-        "user_torque_limit and feeds the limited action back, which is not done here"
+        f"{source.path.name}: velocity_command is scaled by user_cmd_scales, as its program does a "
+        f"stick of ±{_STICK:g}; its limit of torques at 500 Hz is not imported"
     )
     if any(source.number(f"imu_orientation_offset.{axis}") for axis in ("roll", "pitch", "yaw")):
         facts.notes.append(
-            f"{source.path.name}: imu_orientation_offset is not imported; say how the IMU is "
-            "mounted in the robot file"
+            f"{source.path.name}: imu_orientation_offset is not imported; the robot file has it"
         )
     return facts
 
@@ -252,8 +250,6 @@ def _limx_terms(source: Source, wheels: list[bool], gait: tuple[float, ...]) -> 
     terms.append({"name": "command", "state": "velocity_command", "scale": scale})
     if zeros:
         terms.append({"name": "unused", "value": [0.0] * zeros})
-    for term in terms:
-        term.setdefault("scale", 1.0)
     facts.values["observation"] = {"layout": "frame_major", "newest": "last", "terms": terms}
     named = str(Path(facts.values["onnx"]).with_name("encoder.onnx"))
     fed = {given: f"observation[0:{history}]"}

@@ -41,10 +41,8 @@ def read_python(path: Path) -> Located:
     }
     if len(found) != 1:
         names = ", ".join(found) or "none"
-        text = "of legged_gym or humanoid-gym, which has control and init_state"
-        raise PolicyError(
-            f"{path}: it has {len(found)} configurations {text} ({names}); leave one in a copy"
-        )
+        text = f"has {len(found)} configurations of legged_gym or humanoid-gym ({names})"
+        raise PolicyError(f"{path}: it {text}; leave one in a copy")
     ((values, lines),) = found.values()
     return Located(path, values, lines, PolicyError)
 

@@ -67,8 +67,7 @@ class MotionSpec:
         said = {key for key, value in here.written.items() if value is not None}
         if "duration" not in said and "anchor_body" not in said:
             here.value(
-                "needs anchor_body, by which reference and robot are compared, or duration in [s] "
-                "where the policy sees motion_phase alone"
+                "needs anchor_body, or duration in [s] where the policy sees motion_phase alone"
             )
         elif "duration" in said and (more := said - {"duration", "start", "hold"}):
             here.value(f"stands beside {min(more)}; only start and hold go with it", "duration")
