@@ -210,5 +210,5 @@ def check_agreement(facts: Facts, other: Facts, given: AnyMapping) -> None:
 def _by_joint(values: AnyMapping, key: str, joints: list[str]) -> dict[str, float]:
     moved = value_of(values, "action.joints")
     if key == "action.scale" and isinstance(moved, list):
-        joints = moved
+        joints = [str(name) for name in moved]
     return dict(zip(joints, values_by_pattern(value_of(values, key), joints) or ()))
