@@ -464,3 +464,8 @@ def test_metadata_that_disagree_with_the_file_are_refused(tmp_path: Path) -> Non
     values = toy_values(stiffness=[10.0, 25.0, 30.0, 40.0])
     path.write_text(yaml.safe_dump(values), "utf-8")
     assert load_policy(path).stiffness.tolist() == [10.0, 25.0, 30.0, 40.0]
+    for broken in ([["a_hip"]] * 4, [{"a": 1}] * 4):
+        action = {"scale": 0.25, "joints": broken}
+        path.write_text(yaml.safe_dump({**values, "action": action}), "utf-8")
+        with pytest.raises(PolicyError, match=r"action\.joints"):
+            load_policy(path)
