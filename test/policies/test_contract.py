@@ -99,8 +99,8 @@ ANGLE = "a number from -12.5664 to 12.5664 [rad] (are these degrees?)"
         (
             "{scale: 0.25}",
             "{scal: 0.25}",
-            ":7: action: unknown key 'scal'; did you mean 'scale'? known: clip, feedback, filter, "
-            "joints, kind, offset, scale",
+            ":7: action: unknown key 'scal'; did you mean 'scale'? known: clip, extra, feedback, "
+            "filter, joints, kind, offset, scale",
         ),
         (
             "  terms:",
@@ -117,7 +117,7 @@ ANGLE = "a number from -12.5664 to 12.5664 [rad] (are these degrees?)"
             "action: {scale: 0.25}",
             "action: 0.25",
             ":7: action is 0.25; write a mapping with scale, offset, kind, clip, joints, filter, "
-            "feedback",
+            "feedback, extra",
         ),
         (
             "stiffness: [10, 20, 30, 40]",
