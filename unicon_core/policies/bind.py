@@ -1,8 +1,8 @@
 """The lane of a policy: observation, network and action on arrays of its own, bound once.
 
-What a tick computes stays here until it is published into the states, so that a warm-up may take
-the very same path: the same arrays, the same binding of the network, the same code. With a second
-lane on copies the tick after a warm-up took 40 µs in a 50 Hz loop, with one lane it takes 22.
+What a tick computes stays here until it is published into the states, so that a warm-up takes the
+very same path. With a second lane on copies the tick after a warm-up took 40 µs in a 50 Hz loop,
+with one lane it takes 22.
 """
 
 from __future__ import annotations
@@ -343,8 +343,8 @@ class Binding:
             elif chunk is not None:
                 shape = (1, chunk.size, moved)[-max(len(tensor.shape), 2) :]
                 if any(isinstance(a, int) and a != b for a, b in zip(tensor.shape, shape)):
-                    text = f"output {tensor} is no chunk of {chunk.size} × {moved}"
-                    raise self._fail(f"{text}; {self._remedy('chunk.size')}")
+                    says = f"{chunk.size} × {moved}; {self._remedy('chunk.size')}"
+                    raise self._fail(f"output {tensor} is no chunk of {says}")
                 self.fetches[name] = output = np.zeros(shape, np.float32)
                 self._publish(canonical, action)
                 continue
