@@ -255,9 +255,8 @@ class Binding:
 
     def _check_joints(self) -> None:
         """The action has the joints' number; a wrong one is seen in the observation's size, too."""
-        joints = self.contract.action.joints
+        joints, extra = self.contract.action.joints, self.contract.action.extra
         tensor = self.tensors["output"].get(self.contract.outputs.get("action", ""))
-        extra, chunk = self.contract.action.extra, self.contract.chunk
         if tensor is not None and extra is not None:
             if self.contract.child is not None:
                 raise self._fail("action.extra does not go with child; run it in the tick")
@@ -266,7 +265,7 @@ class Binding:
                     f"action.extra is {extra!r}, and the output {tensor} has no more than the "
                     f"{len(joints)} joints; leave it out"
                 )
-        elif tensor is not None and chunk is None and not tensor.takes(len(joints)):
+        elif tensor and not self.contract.chunk and not tensor.takes(len(joints)):
             key = "joints" if joints == self.contract.joints else "action.joints"
             raise self._fail(
                 f"{key} has {len(joints)} names, the network's output {tensor.name!r} "
@@ -343,8 +342,8 @@ class Binding:
             elif chunk is not None:
                 shape = (1, chunk.size, moved)[-max(len(tensor.shape), 2) :]
                 if any(isinstance(a, int) and a != b for a, b in zip(tensor.shape, shape)):
-                    says = f"{chunk.size} × {moved}; {self._remedy('chunk.size')}"
-                    raise self._fail(f"output {tensor} is no chunk of {says}")
+                    rows = f"{chunk.size} × {moved}; {self._remedy('chunk.size')}"
+                    raise self._fail(f"output {tensor} is no chunk of {rows}")
                 self.fetches[name] = output = np.zeros(shape, np.float32)
                 self._publish(canonical, action)
                 continue

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from unicon_base import AnyDict
 from unicon_base.errors import Fault
 from unicon_core.page import write_file
 from unicon_core.runtime.statistics import TickStatistics
@@ -95,7 +96,12 @@ class Report:
             paused: how long of it the run stood still in [s].
         """
         ticks, overruns = statistics.count, statistics.overruns
-        shadowed = shadowed_in(program.blocks)
+        extra: AnyDict = {}
+        if (shadowed := shadowed_in(program.blocks)) is not None:
+            extra["shadow"] = shadowed.found()
+        for (name, _), network in program.context.networks.items():
+            if latency := network.latency():
+                extra.setdefault("remote", {})[name] = latency
         return cls(
             program.name,
             program.robot.name,
@@ -113,7 +119,7 @@ class Report:
             safety_left_out=dict(program.safety_left_out),
             forced=list(program.forced),
             blocks=statistics.block_us(),
-            extra={} if shadowed is None else {"shadow": shadowed.found()},
+            extra=extra,
             **program.monitor.found(),
         )
 

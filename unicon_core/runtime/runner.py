@@ -332,9 +332,6 @@ class Runner:
             first = int(statistics.kept()[0, 2])
             report.startup_s = round(self._age_s + (first - self._started_ns) * 1e-9, 3)
             report.extra |= self._before.facts(first)
-        for (name, _), network in self.program.context.networks.items():
-            if latency := network.latency():
-                report.extra.setdefault("remote", {})[name] = latency
         report.advice = advice_of(statistics, self.pacing, self.options.speed, self.period_ns)
         report.faults = list(self.faults)
         report.traceback = self.traceback
