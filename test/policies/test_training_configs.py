@@ -393,3 +393,58 @@ def test_a_joint_without_a_pattern_leaves_its_fact_to_be_given(tmp_path: Path) -
     with pytest.raises(PolicyError) as caught:
         load_policy(path, given=given)
     assert "does not say damping (in [N·m·s/rad], policy order); give it" in str(caught.value)
+
+
+SCAN = """\
+  height_scanner:
+    prim_path: /World/envs/env_.*/Robot/base
+    offset: {pos: !!python/tuple [0.1, 0.0, 20.0], rot: !!python/tuple [1.0, 0.0, 0.0, 0.0]}
+    ray_alignment: yaw
+    pattern_cfg:
+      func: isaaclab.sensors.ray_caster.patterns.patterns:grid_pattern
+      resolution: 0.5
+      size: !!python/tuple [1.0, 0.5]
+      direction: !!python/tuple [0.0, 0.0, -1.0]
+      ordering: yx
+"""
+SCANNED = """\
+    height_scan:
+      func: isaaclab.envs.mdp.observations:height_scan
+      params: {sensor_cfg: {name: height_scanner}}
+      clip: !!python/tuple [-1.0, 1.0]
+actions:
+"""
+
+
+def scanning(*changes: tuple[str, str]) -> list[tuple[str, str]]:
+    scan = SCAN
+    for old, new in changes:
+        assert old in scan
+        scan = scan.replace(old, new)
+    return [("scene:\n", f"scene:\n{scan}"), ("actions:\n  joint_pos", f"{SCANNED}  joint_pos")]
+
+
+def test_a_height_scanner_of_isaac_is_the_height_scan(tmp_path: Path) -> None:
+    path = write(tmp_path, ENV, *scanning())
+    contract = load_policy(path, given={"joints": list(JOINTS)})
+    scan, term = contract.height_scan, contract.terms[-1]
+    assert scan is not None
+    assert (scan.size, scan.resolution, scan.offset) == ((1.0, 0.5), 0.5, (0.1, 0.0))
+    assert (scan.order, scan.counts) == ("yx", (3, 2))
+    assert (term.state, term.subtract.tolist()) == ("height_scan", [0.5])  # type: ignore[union-attr]
+    assert any("height_scanner hangs on base" in note for note in contract.notes)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        ("ray_alignment: yaw", "ray_alignment: base"),
+        ("patterns:grid_pattern", "patterns:lidar_pattern"),
+        ("[0.0, 0.0, -1.0]", "[0.0, 1.0, -1.0]"),
+        ("height_scanner:", "other:"),
+    ],
+)
+def test_another_scanner_of_isaac_must_be_given(tmp_path: Path, change: tuple[str, str]) -> None:
+    path = write(tmp_path, ENV, *scanning(change))
+    with pytest.raises(PolicyError, match=r"height_scan.state .*params.sensor_cfg \(height_sc"):
+        load_policy(path, given={"joints": list(JOINTS)})

@@ -9,6 +9,9 @@ and each term of joints name them one by one with `preserve_order` (`managers/sc
 term by term. Joints are chosen as `SceneEntityCfg` does: by `joint_names`, which are patterns, in
 the articulation's order unless `preserve_order` is set, else by `joint_ids`.
 
+The function `height_scan` takes a sensor of the scene (`sensors/ray_caster/patterns/
+patterns_cfg.py`, GridPatternCfg; `ray_caster_cfg.py`, ray_alignment), less its `offset` of 0.5 m.
+
 **legged_gym**, from leggedrobotics/legged_gym `envs/base/legged_robot.py`: period = `sim.dt` ·
 `control.decimation`; gains match by a part of the joint's name; actions are clipped to
 `normalization.clip_actions`, and the clipped action is fed back. The terms and the joint order
@@ -28,6 +31,7 @@ from unicon_core.policies.importers.source import Source, matches, values_by_pat
 
 _GROUPS = ("policy", "actor")
 _OF_JOINTS = ("joint_pos", "joint_vel")
+_SCAN, _SCAN_OFFSET = "height_scan", 0.5  # of the function, in [m], unless it says another
 
 
 def legged_gym_facts(source: Source) -> Facts:
@@ -262,8 +266,27 @@ def _term(source: Source, where: Where, value: AnyMapping, joints: list[str] | N
             term["index"] = [joints.index(joint) for joint in named or ()]
     if function == "gait_phase":
         facts.values["phase"] = {"period": dig(value, "params", "period"), "offsets": [0.0]}
+    if function == _SCAN:
+        name, offset = dig(value, "params", "sensor_cfg", "name"), dig(value, "params", "offset")
+        facts.values[_SCAN] = _scan(source.document, name)
+        term["subtract"] = _SCAN_OFFSET if offset is None else offset
+        body = str(dig(source.document, "scene", str(name), "prim_path")).rpartition("/")[2]
+        facts.notes.append(f"env.yaml: {name} hangs on {body}; here heights are of the base")
     term["scale"] = 1.0 if value.get("scale") is None else value["scale"]
     return term if value.get("clip") is None else {**term, "clip": value["clip"]}
+
+
+def _scan(document: AnyMapping, name: Any) -> AnyDict | None:
+    """Return the grid of a scanner that looks down and turns by the yaw; None of any other."""
+    sensor = dig(document, "scene", str(name))
+    pattern, pos = dig(sensor, "pattern_cfg"), dig(sensor, "offset", "pos")
+    turns = dig(sensor, "ray_alignment") or ("yaw" if dig(sensor, "attach_yaw_only") else "base")
+    down = dig(pattern, "direction") in (None, [0.0, 0.0, -1.0])
+    grid = str(dig(pattern, "func")).endswith("grid_pattern")
+    if not (grid and down and turns == "yaw" and isinstance(pos, list) and len(pos) == 3):
+        return None
+    made = {key: dig(pattern, key) for key in ("size", "resolution")}
+    return {**made, "offset": pos[:2], "order": dig(pattern, "ordering") or "xy"}
 
 
 def _unread(document: AnyMapping, term: AnyMapping, function: str) -> str:
@@ -286,6 +309,8 @@ def _unread(document: AnyMapping, term: AnyMapping, function: str) -> str:
             or "VelocityCommand" in str(dig(document, "commands", str(value), "class_type")),
             "action_name": isinstance(value, str) and value in document["actions"],
             "period": function == "gait_phase",
+            "sensor_cfg": function == _SCAN and _scan(document, dig(value, "name")) is not None,
+            "offset": function == _SCAN,
         }
         if value is not None and not known.get(key):
             return f"params.{key} ({dig(value, 'name') or value})"
