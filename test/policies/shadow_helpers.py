@@ -34,11 +34,12 @@ LIMIT = 0.2
 """For a tick of B in [s]: a busy machine stops a test for 20 ms and more."""
 
 
-def older(folder: Path, **changes: Any) -> Path:
+def older(folder: Path, unused: int = 0, **changes: Any) -> Path:
     """Write the Go2 policy of 2026-11-21, which was trained otherwise; weights of 8 bits.
 
     Args:
         folder: to write to.
+        unused: further inputs, which have no weight.
         changes: of its `policy.yaml`.
     """
     arrays = np.load(Path(__file__).with_name("go2_first_trained.npz"))
@@ -61,7 +62,8 @@ def older(folder: Path, **changes: Any) -> Path:
             lines.append(f"e{layer} = Elu(s{layer})")
         inputs = f"e{layer}"
     folder.mkdir(parents=True, exist_ok=True)
-    shapes = {"obs": [1, 45], "actions": [1, 12]}
+    constants["w0"] = np.pad(constants["w0"], ((0, unused), (0, 0)))
+    shapes = {"obs": [1, 45 + unused], "actions": [1, 12]}
     write_graph(folder / "policy.onnx", "\n".join(lines), ["obs"], shapes, constants)
     said = yaml.safe_load((OURS / "policy.yaml").read_text("utf-8"))
     del said["recurrent"], said["sha256"]

@@ -285,6 +285,19 @@ def test_another_history_begins_with_what_was_executed(tmp_path: Path) -> None:
     assert run.answers == [(True, "shadow_walk takes over from walk")]
 
 
+def test_it_may_see_the_ground_though_the_first_policy_is_blind(tmp_path: Path) -> None:
+    terms = yaml.safe_load((older(tmp_path / "b") / "policy.yaml").read_text())["observation"]
+    terms["terms"].append({"name": "ground", "state": "height_scan"})
+    grid = {"size": [0.2, 0.2], "resolution": 0.1}
+    b = older(tmp_path / "c", unused=9, observation=terms, height_scan=grid)
+    run = ran(tmp_path / "w.yaml", b, 1.4, {FIT: ask})
+    assert run.events == ["shadow_walk takes over"]
+    scan = run.rows["shadow_walk_height_scan"]
+    assert scan.shape[1] == 9
+    assert ((scan > 0.2) & (scan < 0.4)).all()
+    assert (run.rows["shadow_walk_observation"][:, 45:] == scan).all()
+
+
 def refused(tmp_path: Path, overrides: dict[str, Any], text: str = WORKFLOW) -> str:
     (tmp_path / "w.yaml").write_text(text)
     with pytest.raises(UniconError) as caught:

@@ -99,7 +99,7 @@ class ShadowedPolicy:
         tell: TextSink,
     ) -> None:
         self.a, self.b, self.contract = a, b, a.contract
-        self.names, self.endless = names, True
+        self.names, self.endless, self.holds = names, True, (*a.holds, *b.holds)
         period, prefix = a.contract.period, f"{names[1]}_"
         self._tell, self._bound, self._every = tell, entry.bound, every
         self._limit = entry.limit or 0.5 * period

@@ -22,7 +22,7 @@ from unicon_core.states import StateSpec, standard_states
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.file import ShadowEntry
-from unicon_core.workflow.policies import load_entry, used_policy
+from unicon_core.workflow.policies import ground_under, load_entry, used_policy
 from unicon_core.workflow.uses import Use
 
 
@@ -70,7 +70,10 @@ class Shadow:
         """Return a policy with the one beside it, as one block."""
         states, contract = context.states, self.contract
         redirected = PrefixedStates(states, "", {name: self.prefix + name for name in PAIRED})
-        other = Policy(contract, redirected, context.robot, prefix=self.prefix)
+        ground = None
+        if contract.height_scan is not None:
+            ground = ground_under(context, contract.name, states)
+        other = Policy(contract, redirected, context.robot, prefix=self.prefix, ground=ground)
         names, every = (self.of, f"shadow_{self.of}"), round(contract.period / context.period)
         return ShadowedPolicy(policy, other, states, names, self.entry, every, context.tell)
 
