@@ -217,7 +217,7 @@ class Noisy(PolicyServer):
     def _send(self, name: bytes, kind: int, *given: Any) -> None:
         if kind == remote.ANSWER:
             body, number, ns = bytes(given[0]), *given[1:]
-            wrong = np.full(len(body) // 4, np.nan, np.float32).tobytes()
+            wrong = np.full(24, np.nan, np.float32).tobytes() + body[96:]  # with its number
             for each in (wrong[:-1], wrong[:9], wrong + b"x", b"")[number % 2 :: 2]:
                 super()._send(name, kind, each, number, ns)
             for other in (number - 1, number + 1, 1 << 62, -1)[number % 2 :: 2]:
