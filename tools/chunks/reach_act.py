@@ -10,14 +10,11 @@ and the goal as environment state, no picture. Everything is trained here, on on
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from unicon_core.flow.block import Writes
 
@@ -112,33 +109,32 @@ def goals(every: float, seed: int) -> dict[str, Any]:
 def demonstration() -> dict[str, Any]:
     """Return the workflow of the demonstrations."""
     free = {"hand": {"position": 1.0, "orientation": 0.0}}
-    reach = {"effectors": free, "moves": ["joint*"], "max_rate": "robot"}
+    reach = {"function": "unicon_manipulation.reach:Reach", "effectors": free}
+    reach |= {"moves": ["joint*"], "max_rate": "robot"}
     follow = {"moves": ["joint*"], "max_rate": "robot", "start_tolerance": 0.5, "silent": "hold"}
-    commands = [goals(1.0, 1), {"call": {"function": "reach_act:Aim"}}, {"reach": reach}]
+    commands = [goals(1.0, 1), {"call": {"function": "reach_act:Aim"}}, {"call": reach}]
     return workflow(commands, [{"forward_command": follow}])
-
-
-def unicon(*arguments: str) -> None:
-    """Run a command of this project."""
-    here = str(Path(__file__).parent)
-    path = os.pathsep.join([here, os.environ.get("PYTHONPATH", "")])
-    command = [sys.executable, "-m", "unicon_ros", *arguments]
-    subprocess.run(command, env={**os.environ, "PYTHONPATH": path}, check=True)
 
 
 def demonstrate(out: Path, seconds: float) -> Path:
     """Record and export the demonstrations."""
-    flow = out / "demonstrate.yaml"
-    flow.write_text(yaml.safe_dump(demonstration()), "utf-8")
-    record, dataset = str(out / "demonstrations.mcap"), out / "dataset"
-    paced = ("--speed", "max", "--duration", str(seconds), "--no-ros", "--faults", "off")
-    unicon("run", str(flow), *paced, "--record", record)
-    unicon(
-        *("bag", "export", "--lerobot", record, "--out", str(dataset), "--fps", str(FPS)),
-        *("--states", "joint_pos", "goal", "--actions", "joint_pos_command"),
-        *("--task", "reach the goal", "--writer", "own"),
+    from unicon_core.runtime import Runner, RunOptions
+    from unicon_core.workflow import Program
+    from unicon_lab.datasets.export import Wanted, export_dataset
+    from unicon_lab.fault_record import FaultRecord
+    from unicon_lab.recording.run_recording import Recording
+
+    recording = Recording(out / "demonstrations.mcap", patient=True)
+    record = FaultRecord("off", recording=recording)
+    program = Program(**demonstration(), hooks=[recording.hook, record.hook])
+    runner = Runner(program, RunOptions(duration=seconds, speed="max"))
+    record.attach(runner)
+    runner.run()
+    wanted = Wanted(
+        FPS, "reach the goal", ("joint_pos", "goal"), ("joint_pos_command",), writer="own"
     )
-    return dataset
+    export_dataset([Path(recording.path)], out / "dataset", wanted)
+    return out / "dataset"
 
 
 def windows(dataset: Path) -> dict[str, Any]:
