@@ -168,6 +168,7 @@ def test_all_is_the_union_of_the_other_extras_but_what_is_large_or_hardware() ->
     assert set(extras) >= {"sim", "bags", "ros", "test", "all"}
     left = {name for name in extras if name.startswith("hw-")} | {"all", "torch"}
     left |= {"sim-mjx", "sim-newton", "sim-genesis", "foxglove", "realsense", "ray"}
+    left |= {"lerobot-policies"}
     united = {r for name, e in extras.items() if name not in left for r in e}
     assert set(extras["all"]) == united
     assert extras["torch"] == ["torch"]
