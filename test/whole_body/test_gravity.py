@@ -93,6 +93,21 @@ def test_only_the_joints_that_are_named_are_carried_within_their_effort(reacher)
     assert bench.states.joint_effort_ff[2] == np.float32(-3.0)
 
 
+def test_torques_that_no_other_block_rewrites_do_not_add_up(reacher):
+    """As beside a policy of positions."""
+    bench = Bench(reacher)
+    bench.states.joint_effort_ff = (0.0, 0.5, 0.0)
+    made = bench.block("gravity", moves=["last"])
+    made.tick()
+    once = bench.states.joint_effort_ff.copy()
+    made.tick()
+    assert once[2] != 0.0
+    assert bench.states.joint_effort_ff.tolist() == once.tolist()
+    bench.states.joint_effort_ff[2] = 0.25  # now another one does
+    made.tick()
+    assert bench.states.joint_effort_ff[2] == pytest.approx(0.25 + made.tick.torque[2])
+
+
 def test_a_measurement_that_is_none_leaves_the_last_torque(reacher):
     bench = Bench(reacher)
     made = bench.block("gravity")

@@ -46,7 +46,7 @@ class Gravity:
         ModelError: there is no model, or it lacks a joint.
     """
 
-    memory = ()
+    memory = ("_others", "_left")
 
     endless = True
 
@@ -78,15 +78,19 @@ class Gravity:
         self._least = -self._most
         self.torque = np.zeros(robot.num_joints)
         self._asked = np.zeros(robot.num_joints)
-        self._sum = np.zeros(len(places), np.float32)
+        # What other blocks ask for, and what this one left there in the last tick.
+        self._others = np.zeros(len(places), np.float32)
+        self._left = np.full(len(places), np.nan, np.float32)
 
     def __call__(self) -> None:
-        asked = self._asked
-        total = self._sum
+        asked, others, total = self._asked, self._others, self._left
         self._weight(self._joint_pos, asked, self._quat)
         if math.isfinite(float(asked.sum())):  # else what was measured makes no sense: the last
             self.torque[:] = asked
-        np.add(self._effort[self._at], self.torque[self._at], out=total)
+        # A policy of positions writes no torques: what was added last would be added to again.
+        given = self._effort[self._at]
+        np.copyto(others, given, where=given != total)
+        np.add(others, self.torque[self._at], out=total)
         np.maximum(total, self._least, out=total)
         np.minimum(total, self._most, out=total)
         self._effort[self._at] = total
