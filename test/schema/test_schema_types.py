@@ -13,9 +13,9 @@ import pytest
 from unicon_base.errors import UniconError
 from unicon_base.located_yaml import parse_yaml
 from unicon_base.schema.marks import Key, Like, NotAKey, Point, Quat, Size, Text, Unit, Within
-from unicon_base.schema.read import check_made, json_schema, read, read_value
-from unicon_base.schema.records import option_type
-from unicon_base.schema.types import Here
+from unicon_base.schema.read import check_made, json_schema, read, read_value, refuse
+from unicon_base.schema.records import option_type, type_of
+from unicon_base.schema.types import Here, Mistakes
 
 
 @dataclass(frozen=True)
@@ -123,6 +123,15 @@ def test_each_kind_of_value_is_refused_in_its_words(line: str, said: str) -> Non
     kept = [each for each in GOOD.splitlines() if not each.startswith(f"{key}:")]
     (message,) = wrong("\n".join([*kept, line]) + "\n")
     assert message == f"a.yaml:{len(kept) + 1}: {said}"
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_number_that_no_float_holds_is_refused(sign: int) -> None:
+    """A Python file or JSON can hold it."""
+    mistakes = Mistakes({})
+    type_of(float).read(sign * 10**400, ("weight",), mistakes)
+    with pytest.raises(UniconError, match=r"weight is .*write a number"):
+        refuse(mistakes, lambda where, text: UniconError(text), "file")
 
 
 def test_another_version_is_told_alone() -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -177,6 +178,8 @@ class Number(Type):
         bounds = self.bounds
         if not self.accepts(value) or (bounds.above and value == bounds.low):
             return False
+        if isinstance(value, int):  # it may be too large for a float
+            return abs(value) <= sys.float_info.max and bounds.low <= value <= bounds.high
         endless = bounds.endless and math.isinf(value) and (value > 0.0 or bounds.low < 0.0)
         return endless or (math.isfinite(value) and bounds.low <= value <= bounds.high)
 
