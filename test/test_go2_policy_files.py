@@ -1,4 +1,4 @@
-"""The shipped Go2 policy: network, metadata, contract, model and robot file agree; it walks."""
+"""The shipped Go2 policies: network, metadata, contract, model and robot file agree; they walk."""
 
 from __future__ import annotations
 
@@ -14,18 +14,26 @@ import yaml
 onnxruntime = pytest.importorskip("onnxruntime")
 mujoco = pytest.importorskip("mujoco")
 ROOT = Path(__file__).resolve().parents[1]
-FOLDER = ROOT / "config" / "policies" / "go2_velocity"
-NETWORK = FOLDER / "policy.onnx"
+
+
+@pytest.fixture(scope="module", params=["go2_velocity", "go2_stairs"])
+def folder(request: pytest.FixtureRequest) -> Path:
+    return ROOT / "config" / "policies" / str(request.param)
 
 
 @pytest.fixture(scope="module")
-def contract() -> dict[str, Any]:
-    return dict(yaml.safe_load((FOLDER / "policy.yaml").read_text(encoding="utf-8")))
+def network(folder: Path) -> Path:
+    return folder / "policy.onnx"
 
 
 @pytest.fixture(scope="module")
-def session() -> Any:
-    return onnxruntime.InferenceSession(str(NETWORK), providers=["CPUExecutionProvider"])
+def contract(folder: Path) -> dict[str, Any]:
+    return dict(yaml.safe_load((folder / "policy.yaml").read_text(encoding="utf-8")))
+
+
+@pytest.fixture(scope="module")
+def session(network: Path) -> Any:
+    return onnxruntime.InferenceSession(str(network), providers=["CPUExecutionProvider"])
 
 
 @pytest.fixture(scope="module")
@@ -34,13 +42,16 @@ def metadata(session: Any) -> dict[str, list[str]]:
     return {key: value.split(",") for key, value in pairs.items()}
 
 
-def test_the_network_is_the_one_the_contract_names(contract: dict[str, Any]) -> None:
-    assert FOLDER / contract["onnx"] == NETWORK
-    assert hashlib.sha256(NETWORK.read_bytes()).hexdigest() == contract["sha256"]
+def test_the_network_is_the_one_the_contract_names(
+    contract: dict[str, Any], folder: Path, network: Path
+) -> None:
+    assert contract["name"] == folder.name
+    assert folder / contract["onnx"] == network
+    assert hashlib.sha256(network.read_bytes()).hexdigest() == contract["sha256"]
 
 
-def test_the_network_is_smaller_than_one_megabyte() -> None:
-    assert NETWORK.stat().st_size < 1_000_000
+def test_the_network_is_smaller_than_one_megabyte(network: Path) -> None:
+    assert network.stat().st_size < 1_000_000
 
 
 def test_inputs_and_outputs_have_the_contracts_names_and_sizes(
@@ -52,7 +63,7 @@ def test_inputs_and_outputs_have_the_contracts_names_and_sizes(
     assert contract["outputs"] == {"action": returned.name}
     assert contract["recurrent"] == [{"input": memory.name, "output": following.name}]
     assert memory.shape == following.shape
-    sizes = {"base_ang_vel": 3, "projected_gravity": 3, "velocity_command": 3}
+    sizes = {"base_ang_vel": 3, "projected_gravity": 3, "velocity_command": 3, "height_scan": 187}
     terms = contract["observation"]["terms"]
     assert given.shape[1] == sum(sizes.get(term["state"], 12) for term in terms)
     assert returned.shape[1] == len(contract["joints"]) == 12
@@ -60,7 +71,7 @@ def test_inputs_and_outputs_have_the_contracts_names_and_sizes(
 
 def test_every_observation_can_be_measured_on_the_real_robot(contract: dict[str, Any]) -> None:
     measurable = {"base_ang_vel", "projected_gravity", "velocity_command"}
-    measurable |= {"joint_pos", "joint_vel", "action"}
+    measurable |= {"joint_pos", "joint_vel", "action", "height_scan"}
     assert {term["state"] for term in contract["observation"]["terms"]} <= measurable
 
 
@@ -100,14 +111,14 @@ def test_it_accepts_batches_and_answers_finitely(session: Any) -> None:
 
 
 @pytest.fixture(scope="module")
-def walker() -> Any:
+def walker(folder: Path) -> Any:
     sys.path.insert(0, str(ROOT / "tools" / "train"))
     try:
         from walker import Walker
     finally:
         sys.path.pop(0)
     model = mujoco.MjModel.from_xml_path(str(ROOT / "config" / "models" / "go2" / "go2.xml"))
-    return Walker(model, FOLDER)
+    return Walker(model, folder)
 
 
 def test_it_walks_where_it_is_told(walker: Any) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 MODEL_PATH = CONFIG / "models" / "go2" / "go2.xml"
 POLICY_DIR = CONFIG / "policies" / "go2_velocity"
+STAIRS_DIR = CONFIG / "policies" / "go2_stairs"
 
 PERIOD = 0.02  # control period in [s]
 LEGS = ("FR", "FL", "RR", "RL")
@@ -40,3 +41,17 @@ OBS_SCALE = np.concatenate([np.full(size, scale) for _, size, scale in TERMS]).a
 # The command ranges of the acceptance test; training samples a little beyond them.
 COMMAND_LOW = np.array([-0.5, -0.4, -1.0], np.float32)  # vx, vy in [m/s], wz in [rad/s]
 COMMAND_HIGH = np.array([1.0, 0.4, 1.0], np.float32)
+
+# The height scan of go2_stairs: points x, y around the base in [m], turned by its yaw, shape
+# (187, 2), x fastest; a point's value is the height of the base above the ground there in [m].
+SCAN_SIZE, SCAN_RESOLUTION = (1.6, 1.0), 0.1
+_AXES = [np.arange(round(s / SCAN_RESOLUTION) + 1) * SCAN_RESOLUTION - s / 2 for s in SCAN_SIZE]
+SCAN = np.stack([axis.ravel() for axis in np.meshgrid(*_AXES)], axis=1)
+SCAN_HEIGHT = 0.3  # subtracted: that of standing
+SCAN_CLIP = 1.0
+SCAN_SCALE = 8.0  # of training, in the first layer's weights after export: 8 cm must not drown
+
+
+def scaled_scan(heights: np.ndarray) -> np.ndarray:
+    """What the network takes of a scan in [m] while it is trained."""
+    return SCAN_SCALE * np.clip(heights - SCAN_HEIGHT, -SCAN_CLIP, SCAN_CLIP)

@@ -29,7 +29,12 @@ class Go2Env:
     """`num_envs` robots that follow random velocity commands; finished episodes restart at once.
 
     `cost_scale` fades in the costs and `push_speed` [m/s] the pushes; `train.py` schedules both.
+    `reward_scale` changes the weight of terms by name.
     """
+
+    physics_type = Physics
+    episode_steps = EPISODE_STEPS
+    num_obs, num_critic = contract.NUM_OBS, NUM_CRITIC
 
     def __init__(
         self,
@@ -42,8 +47,9 @@ class Go2Env:
     ) -> None:
         self.num_envs = num_envs
         self.rng = np.random.default_rng(seed)
-        self.physics = Physics(num_envs, timestep, self.rng, threads, pool, feet_only)
+        self.physics = self.physics_type(num_envs, timestep, self.rng, threads, pool, feet_only)
         self.cost_scale = 1.0
+        self.reward_scale: dict[str, float] = {}
         self.push_speed = 1.0
         self.command_period = 3.0  # mean time between commands in [s]
         self.still_share = 0.15  # of commands are exactly zero
@@ -66,7 +72,7 @@ class Go2Env:
         self.foot_z = np.zeros((n, 4))
         self.stats: dict[str, list[float]] = {}
         self._reset(np.arange(n))
-        self.steps[:] = self.rng.integers(0, EPISODE_STEPS, n)
+        self.steps[:] = self.rng.integers(0, self.episode_steps, n)
 
     def _reset(self, ids: np.ndarray) -> None:
         n, rng = len(ids), self.rng
@@ -138,7 +144,7 @@ class Go2Env:
         waiting = ~stepping & (np.abs(self.command).max(axis=1) > 0.15)
         self.idle = np.where(waiting, self.idle + 1, 0)
         failed = fallen | (self.idle >= self.idle_steps)
-        timeout = (self.steps >= EPISODE_STEPS) & ~failed
+        timeout = (self.steps >= self.episode_steps) & ~failed
         done = failed | timeout
         reward = np.where(failed, reward - 1.0, reward)
         self._log("fall_rate", fallen.mean())
@@ -160,11 +166,11 @@ class Go2Env:
         quat = state[:, 4:8]
         self.height = state[:, 3]
         self.gravity = rotate_inverse(quat, np.tile([0.0, 0.0, -1.0], (self.num_envs, 1)))
-        yaw = np.arctan2(
+        self.yaw = np.arctan2(
             2 * (quat[:, 0] * quat[:, 3] + quat[:, 1] * quat[:, 2]),
             1 - 2 * (quat[:, 2] ** 2 + quat[:, 3] ** 2),
         )
-        cos, sin = np.cos(yaw), np.sin(yaw)
+        cos, sin = np.cos(self.yaw), np.sin(self.yaw)
         vel = state[:, 20:23]
         self.lin_vel = np.stack(
             [cos * vel[:, 0] + sin * vel[:, 1], cos * vel[:, 1] - sin * vel[:, 0], vel[:, 2]], 1
@@ -201,7 +207,8 @@ class Go2Env:
         )
         total = np.zeros(self.num_envs)
         for name, (weight, value) in reward_terms(tick).items():
-            term = weight * value * (self.cost_scale if weight < 0 else 1.0)
+            term = weight * self.reward_scale.get(name, 1.0) * value
+            term *= self.cost_scale if weight < 0 else 1.0
             total += np.clip(term, -6.0, 6.0)
             self._log(name, term.mean())
         moving = np.abs(self.command).max(axis=1) > 0.05

@@ -8,7 +8,6 @@ estimate knows what it brings about. It is added to the checkpoint, which export
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from pathlib import Path
 
 import contract
@@ -16,21 +15,13 @@ import numpy as np
 import torch
 from env import NUM_CRITIC, Go2Env
 from export import weights
-from integral import FRAMES, NUM_MEMORY, PAST, SEEN, WIDTHS, Integral, Weights, frames
+from integral import FRAMES, NUM_MEMORY, SEEN, WIDTHS, Integral, Tell, Weights, frames, keep_past
 from ppo import ActorCritic, mlp
 
 NOISE = 0.05  # of actions: shows what surrounds the gait
 # Time step [s], robots, steps of a round: mostly as trained, some as shipped, which cost thrice.
 WALKS = ((0.005, 512, 500), (0.002, 256, 400))
 BATCH, RATE, EPOCHS = 2048, 2e-3, 20
-Tell = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
-
-
-def keep_past(observation: np.ndarray, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """An integral that never tells more than was asked for."""
-    following = memory.copy()
-    following[:, PAST] = frames(observation, memory)[:, : PAST.stop - PAST.start]
-    return observation, following
 
 
 @torch.no_grad()

@@ -47,7 +47,7 @@ class Graph:
 
 
 def velocity(graph: Graph, weights: Weights) -> None:
-    """`frames` and `obs` -> `velocity`: weights of 0 where the estimate is not to look."""
+    """`frames` and `felt` -> `velocity`: weights of 0 where the estimate is not to look."""
     (first, bias), *between, (last, last_bias) = weights
     seen = np.zeros((len(first), integral.FRAMES * contract.NUM_OBS))
     seen[:, integral.SEEN] = first
@@ -58,12 +58,12 @@ def velocity(graph: Graph, weights: Weights) -> None:
     graph.constant("velocity_weight", np.concatenate([last, np.zeros((1, last.shape[1]))]))
     graph.layers("estimate", "frames", "hidden_linear", [(seen, bias), *between])
     graph.node("Elu", "hidden_linear", "hidden")
-    graph.node("Gemm", "obs gyro velocity_bias", "turn")
+    graph.node("Gemm", "felt gyro velocity_bias", "turn")
     graph.node("Gemm", "hidden velocity_weight turn", "velocity", transB=1)
 
 
 def tell(graph: Graph, weights: Weights) -> None:
-    """`obs` and `memory` -> `told` and `next_memory`."""
+    """`felt` and `memory` -> `told` and `next_memory`; felt is what flat ground needs of `obs`."""
     scale = contract.OBS_SCALE[integral.COMMAND] * integral.UNIT
     pick = np.zeros((contract.NUM_OBS, 3))
     pick[integral.COMMAND] = np.diag(1.0 / scale)
@@ -91,9 +91,9 @@ def tell(graph: Graph, weights: Weights) -> None:
         graph.constant(name, whole, np.int64)
     node = graph.node
     node("Split", "memory parts", "reference_before held_before past", axis=1)
-    node("Concat", "obs past", "frames", axis=1)
+    node("Concat", "felt past", "frames", axis=1)
     velocity(graph, weights)
-    node("Gemm", "obs pick", "command")
+    node("Gemm", "felt pick", "command")
     node("Sub", "command reference_before", "ahead")
     node("Mul", "ahead lag", "approach")
     node("Add", "reference_before approach", "reference")
@@ -115,7 +115,7 @@ def tell(graph: Graph, weights: Weights) -> None:
     node("Max", "wanted command_low", "not_less")
     node("Min", "not_less command_high", "in_range")
     node("Sub", "in_range command", "more")
-    node("Gemm", "more put obs", "told")
+    node("Gemm", "more put felt", "told")
     node("Slice", "frames begin end axis", "next_past")
     node("Concat", "reference held next_past", "following", axis=1)
     node("IsNaN", "following", "broken")
@@ -136,18 +136,31 @@ def weights_of(model: onnx.ModelProto) -> tuple[Weights, Weights]:
 
 
 def build(actor: Weights, estimate: Weights) -> onnx.ModelProto:
-    """`obs` (batch, 45), `memory` (batch, 96) -> `actions` (batch, 12), `next_memory`."""
+    """`obs` (batch, n), `memory` (batch, 96) -> `actions` (batch, 12), `next_memory`.
+
+    n is 45, or more for an actor that sees what comes after these as it is.
+    """
     graph = Graph()
+    num_obs = actor[0][0].shape[1]
+    seen = num_obs - contract.NUM_OBS
+    if seen:
+        graph.constant("obs_parts", [contract.NUM_OBS, seen], np.int64)
+        graph.node("Split", "obs obs_parts", "felt scan", axis=1)
+    else:
+        graph.node("Identity", "obs", "felt")
     tell(graph, estimate)
-    graph.layers("actor", "told", "actions", actor)
-    sizes = {"obs": contract.NUM_OBS, "memory": integral.NUM_MEMORY}
+    if seen:
+        graph.node("Concat", "told scan", "input", axis=1)
+    graph.layers("actor", "input" if seen else "told", "actions", actor)
+    sizes = {"obs": num_obs, "memory": integral.NUM_MEMORY}
     sizes |= {"actions": len(contract.JOINTS), "next_memory": integral.NUM_MEMORY}
     values = [
         helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", size])
         for name, size in sizes.items()
     ]
+    name = "go2_stairs" if seen else "go2_velocity"
     model = helper.make_model(
-        helper.make_graph(graph.nodes, "go2_velocity", values[:2], values[2:], graph.constants),
+        helper.make_graph(graph.nodes, name, values[:2], values[2:], graph.constants),
         opset_imports=[helper.make_opsetid("", 13)],
         ir_version=8,
         producer_name="unicon_ros",

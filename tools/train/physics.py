@@ -17,8 +17,10 @@ STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 QPOS, QVEL = slice(1, 20), slice(20, 38)  # after the time
 
 
-def training_model(timestep: float, feet_only: bool = True) -> mujoco.MjModel:
-    """Our Go2 with PD position actuators; unless told otherwise only its feet collide.
+def training_spec(
+    timestep: float, feet_only: bool = True, collide: tuple[str, ...] = ()
+) -> mujoco.MjSpec:
+    """Our Go2 with PD position actuators; only its feet and the geoms `collide` collide, or all.
 
     Leaving out the other contacts is what makes 30,000 policy steps a second on two cores; an
     episode ends before anything else could touch the floor.
@@ -26,7 +28,7 @@ def training_model(timestep: float, feet_only: bool = True) -> mujoco.MjModel:
     spec = mujoco.MjSpec.from_file(str(contract.MODEL_PATH))
     for geom in list(spec.geoms):
         geom.material = ""
-        if feet_only and geom.name not in (*contract.LEGS, "floor"):
+        if feet_only and geom.name not in (*contract.LEGS, *collide, "floor"):
             spec.delete(geom)
     for group in (spec.textures, spec.materials, spec.keys, spec.sensors):
         for item in list(group):
@@ -58,20 +60,25 @@ def training_model(timestep: float, feet_only: bool = True) -> mujoco.MjModel:
     spec.option.timestep = timestep
     spec.option.cone, spec.option.impratio = mujoco.mjtCone.mjCONE_PYRAMIDAL, 1.0
     spec.option.iterations, spec.option.ls_iterations = 6, 10
-    return spec.compile()
+    return spec
 
 
-def randomise(model: mujoco.MjModel, base: mujoco.MjModel, rng: np.random.Generator) -> None:
-    """Draw one robot and floor into `model` in place; ranges are documented in the README."""
+def randomise(
+    model: mujoco.MjModel, base: mujoco.MjModel, rng: np.random.Generator, elliptic: float = 0.3
+) -> None:
+    """Draw one robot and floor into `model` in place; ranges are documented in the README.
+
+    A share `elliptic` of the floors has an elliptic friction cone.
+    """
     feet = [model.geom(leg).id for leg in contract.LEGS]
     model.geom_friction[feet, 0] = rng.uniform(0.3, 1.25)
     model.geom_solref[feet, 0] = rng.uniform(0.012, 0.03)
-    elliptic = rng.random() < 0.3
-    model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC if elliptic else mujoco.mjtCone.mjCONE_PYRAMIDAL
+    round_ = rng.random() < elliptic
+    model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC if round_ else mujoco.mjtCone.mjCONE_PYRAMIDAL
     # A ratio of 10 at a 5 ms step throws robots about (joints at 150 rad/s), and so do fewer
     # iterations than MuJoCo's own: with 20 and 10, 9 of 330 robots fell, with these 1 did.
-    model.opt.impratio = 10 ** rng.uniform(0, 0.6) if elliptic else 1.0
-    model.opt.iterations, model.opt.ls_iterations = (100, 50) if elliptic else (6, 10)
+    model.opt.impratio = 10 ** rng.uniform(0, 0.6) if round_ else 1.0
+    model.opt.iterations, model.opt.ls_iterations = (100, 50) if round_ else (6, 10)
     scale = rng.uniform(0.9, 1.1, model.nbody)
     model.body_mass[:] = base.body_mass * scale
     model.body_inertia[:] = base.body_inertia * scale[:, None]
@@ -92,12 +99,16 @@ def randomise(model: mujoco.MjModel, base: mujoco.MjModel, rng: np.random.Genera
 class Physics:
     """`num_envs` robots stepped together; a pool of random models is shared among them.
 
+    `elliptic` is the share of floors with an elliptic friction cone.
+
     Attributes:
         state: full physics state before the next step, shape (num_envs, 38): time, qpos, qvel.
         foot_pos, foot_vel: world frame in [m], [m/s], shape (num_envs, 4, 3).
         foot_force: largest normal force of the last policy step in [N], shape (num_envs, 4).
         torque: joint torques of every physics step in [N·m], shape (num_envs, decimation, 12).
     """
+
+    elliptic = 0.3
 
     def __init__(
         self,
@@ -107,12 +118,13 @@ class Physics:
         threads: int,
         pool: int,
         feet_only: bool = True,
+        base: mujoco.MjModel | None = None,
     ) -> None:
-        self.base = training_model(timestep, feet_only)
+        self.base = base or training_spec(timestep, feet_only).compile()
         self.decimation = round(contract.PERIOD / timestep)
         self.pool = [copy.copy(self.base) for _ in range(min(pool, num_envs))]
         for model in self.pool:
-            randomise(model, self.base, rng)
+            randomise(model, self.base, rng, self.elliptic)
         self.models = [self.pool[i % len(self.pool)] for i in range(num_envs)]
         self.state = np.zeros((num_envs, mujoco.mj_stateSize(self.base, STATE)))
         assert self.state.shape[1] == 38
@@ -126,7 +138,7 @@ class Physics:
     def refresh(self, rng: np.random.Generator, count: int = 2) -> None:
         """Draw `count` models of the pool anew, so that the pool never becomes a fixed set."""
         for _ in range(count):
-            randomise(self.pool[self._next], self.base, rng)
+            randomise(self.pool[self._next], self.base, rng, self.elliptic)
             self._next = (self._next + 1) % len(self.pool)
 
     def step(self, targets: np.ndarray) -> None:

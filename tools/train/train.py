@@ -16,14 +16,17 @@ import numpy as np
 import onnx
 import torch
 from correct import correct
-from env import NUM_CRITIC, Go2Env
+from env import Go2Env
+from integral import Integral
 from network import weights_of
 from ppo import ActorCritic, Batch, Ppo, Settings, advantages
+from stairs_env import StairsEnv
 from warmstart import teach
 
 CRITIC_FIRST = 12  # iterations in which only the critic learns, so that it does not undo the start
 # Iterations, and the ceiling of the exploration noise while refining.
 REFINE_NOISE = ([0, 50, 1500], [0.12, 0.11, 0.06])
+STAIRS_NOISE = ([0, 100, 400, 900], [0.2, 0.2, 0.14, 0.1])
 
 
 def schedule(env: Go2Env, ppo: Ppo, iteration: int, refine: bool) -> None:
@@ -34,7 +37,10 @@ def schedule(env: Go2Env, ppo: Ppo, iteration: int, refine: bool) -> None:
     if refine:
         env.cost_scale, env.push_speed = 1.0, 0.7
         env.command_period = 4.0
-        ppo.max_std = float(np.interp(iteration, REFINE_NOISE[0], REFINE_NOISE[1]))
+        noise = REFINE_NOISE
+        if isinstance(env, StairsEnv):
+            env.push_speed, noise = 0.4, STAIRS_NOISE
+        ppo.max_std = float(np.interp(iteration, *noise))
         return
     env.cost_scale = float(np.interp(iteration, [0, 300], [0.3, 1.0]))
     env.push_speed = float(np.interp(iteration, [150, 400], [0.2, 0.7]))
@@ -53,14 +59,20 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--resume", type=Path, help="checkpoint of this run")
     parser.add_argument("--refine", type=Path, help="network (.onnx) to go on from")
+    parser.add_argument("--stairs", action="store_true", help="steps and a scan: go2_stairs")
     args = parser.parse_args()
+    if args.stairs and not args.refine and not args.resume:
+        parser.error("--stairs goes on from a network that walks: give --refine policy.onnx")
 
     torch.manual_seed(args.seed)
     torch.set_num_threads(args.threads)
     args.out.mkdir(parents=True, exist_ok=True)
-    env = Go2Env(args.envs, args.timestep, args.seed, args.threads)
-    net = ActorCritic(contract.NUM_OBS, NUM_CRITIC, len(contract.JOINTS))
-    ppo = Ppo(net, Settings())
+    task = StairsEnv if args.stairs else Go2Env
+    env = task(args.envs, args.timestep, args.seed, args.threads)
+    if args.stairs:
+        env.tell = Integral(weights_of(onnx.load(contract.POLICY_DIR / "policy.onnx"))[1])
+    net = ActorCritic(env.num_obs, env.num_critic, len(contract.JOINTS))
+    ppo = Ppo(net, Settings(desired_kl=0.025) if args.stairs else Settings())
     first = 0
     if args.resume:
         saved = torch.load(args.resume)
@@ -69,8 +81,9 @@ def main() -> None:
         ppo.rate, first = saved["rate"], saved["iteration"] + 1
     elif args.refine:
         copy_actor(args.refine, net)
-        print(f"corrected its speed, mean squared error {correct(env, net):.4f}", flush=True)
-        env.pop_stats()
+        if not args.stairs:
+            print(f"corrected its speed, mean squared error {correct(env, net):.4f}", flush=True)
+            env.pop_stats()
         save(args.out, net, ppo, -1)
     else:
         schedule(env, ppo, 0, False)
@@ -82,7 +95,7 @@ def main() -> None:
     start = time.monotonic()
     obs, critic = env.observe()
     for iteration in range(first, args.iterations):
-        schedule(env, ppo, iteration, bool(args.refine))
+        schedule(env, ppo, iteration, bool(args.refine or args.stairs))
         began = time.monotonic()
         batch, obs, critic, reward = collect(env, net, ppo.settings, args.steps, obs, critic)
         collected = time.monotonic()
@@ -105,13 +118,15 @@ def main() -> None:
 
 
 def copy_actor(path: Path, net: ActorCritic) -> None:
-    """Put the weights of a network that export.py wrote into the actor."""
+    """Put the weights of a network that export.py wrote into the actor; a scan counts for 0."""
     layers, _ = weights_of(onnx.load(path))
     parameters = net.actor.parameters()
     with torch.no_grad():
         for layer in layers:
             for array in layer:
-                next(parameters).copy_(torch.from_numpy(array.copy()))
+                parameter = next(parameters)
+                parameter.zero_()
+                parameter[..., : array.shape[-1]] = torch.from_numpy(array.copy())
 
 
 def save(folder: Path, net: ActorCritic, ppo: Ppo, iteration: int) -> None:

@@ -7,9 +7,11 @@ Needs only numpy, mujoco, onnxruntime and pyyaml.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import contract
 import mujoco
 import numpy as np
 import onnxruntime
@@ -23,6 +25,7 @@ class Walker:
         torque: joint torques of every physics step of the last tick in [N·m],
             shape (physics steps, n), policy order.
         action: raw output of the network, shape (n,).
+        ground: height of the ground under world x, y in [m], shape (n,) of points (n, 2).
         latency: whole control periods by which targets reach the motors late.
     """
 
@@ -46,6 +49,7 @@ class Walker:
         self.damping = np.array(self.contract["damping"])
         self.steps = round(self.contract["period"] / model.opt.timestep)
         self.latency = 0
+        self.ground: Callable[[np.ndarray], np.ndarray] = lambda points: np.zeros(len(points))
         self.reset()
 
     def reset(self, height: float = 0.32, yaw: float = 0.0) -> None:
@@ -79,11 +83,20 @@ class Walker:
         }
         parts = []
         for term in self.contract["observation"]["terms"]:
-            value = states[term["state"]]
-            if term.get("subtract") == "default_joint_pos":
-                value = value - self.default
-            parts.append(term["scale"] * value)
+            name = term["state"]
+            value = self.height_scan() if name == "height_scan" else states[name]
+            subtract = term.get("subtract", 0.0)
+            value = value - (self.default if subtract == "default_joint_pos" else subtract)
+            if "clip" in term:
+                value = np.clip(value, *term["clip"])
+            parts.append(term.get("scale", 1.0) * value)
         return np.concatenate(parts).astype(np.float32)[None]
+
+    def height_scan(self) -> np.ndarray:
+        """Height of the base above the ground at the points of `contract.SCAN` in [m]."""
+        cos, sin = np.cos(self.yaw), np.sin(self.yaw)
+        points = self.data.qpos[:2] + contract.SCAN @ np.array([[cos, sin], [-sin, cos]])
+        return np.asarray(self.data.qpos[2] - self.ground(points))
 
     def tick(self, command: np.ndarray) -> None:
         """One control period: observe, infer, then PD in every physics step."""
