@@ -39,7 +39,7 @@ def test_steps_of_8_cm_are_climbed_by_the_one_that_sees(
 
 def test_training_looks_up_the_heights_of_the_boxes(tools: Any) -> None:
     _, _, terrain = tools
-    axis = np.arange(-3.0, 3.0, 0.025) + 0.0125
+    axis = np.arange(-3.0, 3.0, 0.1) + 0.0125
     points = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1)
     for kind in range(terrain.GROUNDS):
         ground = terrain.random_ground(0.08, kind, np.random.default_rng(kind))

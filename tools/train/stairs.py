@@ -36,13 +36,13 @@ contacts.
 ## Stairs
 
 `scene: {{terrain: {{stairs: {{rise: RISE, run: {RUN}, steps: {STEPS}, landing: {LANDING:g}}}}}}}`,
-command {SPEED:g} m/s straight ahead. A robot has a foot friction of 0.5 to 1.2, a payload of 0 to 2 kg,
-targets 0 or 20 ms late, a start within ±0.2 m and ±0.1 rad, drawn by its seed. It has climbed once
-its base is {BEYOND} m past the last edge, in twice the time that the command takes; it is stuck after
-{PATIENCE:g} s without 5 cm of progress, and falls beyond 60 degrees or below 0.15 m above the ground.
-Where the heading is held, the yaw rate of the command is {HOLD:g}/s of the error. With errors, each
-point of a scan is off by up to {POINT * 100:g} cm, all of it by up to {OFFSET * 100:g} cm up and
-{DRIFT * 100:g} cm sideways, and its heights are {DELAY * 20} ms old.
+command {SPEED:g} m/s straight ahead. A robot has a foot friction of 0.5 to 1.2, a payload of
+0 to 2 kg, targets 0 or 20 ms late, a start within ±0.2 m and ±0.1 rad, drawn by its seed. It has
+climbed once its base is {BEYOND} m past the last edge, in twice the time that the command takes;
+it is stuck after {PATIENCE:g} s without 5 cm of progress, and falls beyond 60 degrees or below
+0.15 m above the ground. Where the heading is held, the yaw rate of the command is {HOLD:g}/s of
+the error. With errors, each point of a scan is off by up to {POINT * 100:g} cm, all of it by up to
+{OFFSET * 100:g} cm up and {DRIFT * 100:g} cm sideways, and its heights are {DELAY * 20} ms old.
 
 | rise | heading | blind (`go2_velocity`) | seeing | seeing, with errors |
 |---|---|---|---|---|
@@ -146,6 +146,21 @@ class Course:
         return f"{len(done)} of {seeds}, {fell} fell, {far}"
 
 
+def stops(walker: Walker) -> str:
+    """Walk 5 s at 0.5 m/s, then stand: how the second to fourth second look, in words."""
+    walker.reset()
+    for _ in range(5 * TICKS_PER_S):
+        walker.tick(np.array([SPEED, 0.0, 0.0]))
+    for _ in range(TICKS_PER_S):
+        walker.tick(ZERO)
+    start, speeds = walker.data.qpos[:2].copy(), []
+    for _ in range(3 * TICKS_PER_S):
+        walker.tick(ZERO)
+        speeds.append(np.abs(walker.data.qvel[walker.qvel]).mean())
+    moved = np.linalg.norm(walker.data.qpos[:2] - start)
+    return f"moved {moved:.3f} m, {np.mean(speeds):.3f} rad/s"
+
+
 def flat(policy: Path, episodes: int) -> str:
     """The section on flat ground."""
     walker = load(OWN_MODEL, policy)
@@ -153,6 +168,7 @@ def flat(policy: Path, episodes: int) -> str:
     pushed = random_episodes(walker, episodes, 0.5, seed=2000)
     rows = [(name, path(straight(walker, 10.0, np.array(v)))) for name, v in CONSTANT.items()]
     rows = [(f"{name} for 10 s", text) for name, text in rows]
+    rows.append(("standing 3 s, from 1 s after walking", stops(walker)))
     rows.append(
         ("standing 30 s", f"moved {still['moved']:.3f} m, {still['joint_speed']:.3f} rad/s")
     )

@@ -34,6 +34,9 @@ REWARD_SCALE = {
     "track_ang_fine": 1.5,
     "error_ang_abs": 1.5,
     "yaw_bias": 2.5,
+    "still_pose": 2.0,
+    "still_vel": 5.0,
+    "still_feet": 5.0,
 }
 LIFT = 1.5  # reward of a foot that is lifted before a step
 STUMBLE = -0.5  # of a foot that touches what it does not stand on
@@ -67,6 +70,7 @@ class StairsEnv(Go2Env):
         self.tell: Tell = keep_past
         super().__init__(n, *args, **options)
         self.reward_scale = REWARD_SCALE
+        self.still_share = 0.4
         self.physics.level[:] = self.rng.integers(*START_LEVELS, n)
         self._reset(np.arange(n))
         self.steps[:] = self.rng.integers(0, self.episode_steps, n)

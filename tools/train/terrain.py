@@ -75,12 +75,13 @@ def raster(ground: Ground, axis: np.ndarray) -> np.ndarray:
 
 def lay(spec: mujoco.MjSpec, ground: Ground, count: int = 0) -> None:
     """Put the ground into a model; boxes below all of it make up for those missing to `count`."""
-    spec.geom("floor").pos[2] = ground.floor
+    floor = spec.geom("floor")
+    floor.pos[2] = ground.floor
     shapes = [(box.centre, box.half) for box in ground.boxes]
     shapes += [((0.1 * i, 0.0, -50.0), (0.01,) * 3) for i in range(count - len(shapes))]
     for centre, half in shapes:
         geom = spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, pos=centre, size=half)
-        geom.contype, geom.conaffinity = 1, 0
+        geom.contype, geom.conaffinity, geom.friction = 1, 0, floor.friction
 
 
 class TerrainPhysics(Physics):
