@@ -83,7 +83,7 @@ ANGLE = "a number from -12.5664 to 12.5664 [rad] (are these degrees?)"
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("period: 0.02", "period: 0", ":4: period is 0; write a number above 0 to 1000 [s]"),
+        ("period: 0.02", "period: 0", ":4: period is 0; write a number from 1e-06 to 1000 [s]"),
         (
             "period: 0.02",
             "",
@@ -237,7 +237,7 @@ ANGLE = "a number from -12.5664 to 12.5664 [rad] (are these degrees?)"
         (
             "damping: 1.0",
             "damping: 1.0\nphase: {period: -1}",
-            ":10: phase.period is -1; write a number above 0 to 1000 [s]",
+            ":10: phase.period is -1; write a number from 1e-06 to 1000 [s]",
         ),
         (
             "damping: 1.0",

@@ -195,7 +195,7 @@ def test_base_yaml_is_needed_and_is_no_policy(tmp_path: Path) -> None:
         ({"observations_history": [0, 0]}, "observations_history names 0 twice"),
         ({"observations_history_priority": "x"}, "priority is 'x'; known: time, term"),
         ({"decimation": -4}, "decimation is -4; write a whole number from 1"),
-        ({"dt": -0.005}, "period is -0.02; write a number above 0 to 1000 [s]"),
+        ({"dt": -0.005}, "period is -0.02; write a number from 1e-06 to 1000 [s]"),
         ({"model_name": "../../policy.onnx"}, "model_name names policy.onnx"),
         ({"clip_obs": "yes"}, "clip_obs is 'yes'; write a number"),
         ({"clip_obs": float("nan")}, "clip_obs is nan; write a number"),

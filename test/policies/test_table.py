@@ -84,5 +84,5 @@ def test_the_list_of_policies_shows_broken_ones_too(
     text = policies_table()
     good = next(line for line in text.splitlines() if line.startswith("good"))
     assert good.split()[1:5] == ["toy", "50", "4", "policy.yaml"]
-    assert "period is -1; write a number above 0 to 1000 [s]" in text
+    assert "period is -1; write a number from 1e-06 to 1000 [s]" in text
     assert "does not say period" in text

@@ -152,7 +152,7 @@ def test_several_files_in_a_folder_are_named(tmp_path: Path) -> None:
         ({"leg_joint2motor_idx": [0, 1]}, "motor 1 stands in both; name each motor once"),
         ({"leg_joint2motor_idx": [0, 12]}, "names motor 12, but robot 'toy' has 4 motors"),
         ({"leg_joint2motor_idx": [0]}, "1 for num_actions 2; name each motor once"),
-        ({"control_dt": -0.02}, "period is -0.02; write a number above 0 to 1000 [s]"),
+        ({"control_dt": -0.02}, "period is -0.02; write a number from 1e-06 to 1000 [s]"),
         ({"control_dt": "fast"}, "control_dt is 'fast'; write a number"),
         ({"cmd_scale": [2.0]}, "cmd_scale has 1 values; give 3"),
         ({"num_obs": 15}, "num_obs is 15, and what deploy_mujoco.py and deploy_real.py lay out"),

@@ -109,7 +109,7 @@ Alpha = Annotated[
 Place = Annotated[int, Within(0)]
 Places = Annotated[tuple[int, ...], Made(listed, Place | list[Place])]
 Offsets = Annotated[tuple[float, ...], Made(rounded, float | list[float])]
-Period = Annotated[float, positive(LONGEST_PERIOD, "s")]
+Period = Annotated[float, Within(1e-6, LONGEST_PERIOD, "s")]
 Stand = Annotated[float, Made(rounded_one, float), Write("a phase in [rad]")]
 Threshold = Annotated[
     float,
