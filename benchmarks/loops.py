@@ -28,9 +28,8 @@ from benchmarks.samples import CLIP, Paced, Samples, Step, paced, random_policy,
 from unicon_base.arrays import Float32
 from unicon_core.flow import as_block
 from unicon_core.models.find import pick_model
-from unicon_core.models.ground_heights import RayHeights, SceneGround
 from unicon_core.models.load import load_model
-from unicon_core.models.terrain import load_on
+from unicon_core.models.terrain import RayHeights, SceneGround, load_on
 from unicon_core.native.tick import NativeTick
 from unicon_core.policies import Observation, Policy, PolicyContract, policy_states
 from unicon_core.policies.height_scan import HEIGHT_SCAN, HeightScan, HeightScanSpec

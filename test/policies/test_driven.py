@@ -13,7 +13,7 @@ from unicon_base.errors import Fault, UniconError, WorkflowError
 from unicon_core.check import check_workflow
 from unicon_core.flow import Zip
 from unicon_core.policies import Policy, load_policy, policy_states
-from unicon_core.policies.driven import DrivenPolicy
+from unicon_core.policies.policy import DrivenPolicy
 from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.report import Report

@@ -10,8 +10,8 @@ import pytest
 from ball_on_ground import BALL, NOTHING, laid
 
 from unicon_base.errors import ModelError
-from unicon_core.models.ground_heights import NO_GROUND, RayHeights, SceneGround
 from unicon_core.models.loaded import LoadedModel
+from unicon_core.models.terrain import NO_GROUND, RayHeights, SceneGround
 from unicon_core.terrain.words import read_terrain
 
 mujoco = pytest.importorskip("mujoco")

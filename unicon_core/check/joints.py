@@ -16,7 +16,7 @@ from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject, listed
 from unicon_core.models.load import effort_ranges
 from unicon_core.models.loaded import LoadedModel, dofs_above, drives, position_gains
-from unicon_core.policies.driven import DrivenPolicy
+from unicon_core.policies.policy import DrivenPolicy
 from unicon_core.robots import Robot, joint_index
 from unicon_core.text_table import figure
 

@@ -31,7 +31,6 @@ from unicon_base.schema.marks import (
 from unicon_base.schema.types import Here
 from unicon_core.bounds import SCALE, Damping, Stiffness
 from unicon_core.policies.chunks import ChunkSpec
-from unicon_core.policies.clock_rate import ClockRate
 from unicon_core.policies.height_scan import HeightScanSpec
 from unicon_core.policies.hints import (
     LONGEST_FILTER,
@@ -39,6 +38,7 @@ from unicon_core.policies.hints import (
     Alpha,
     Angle,
     Clip,
+    ClockRate,
     Feeds,
     Offsets,
     Period,

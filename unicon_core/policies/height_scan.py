@@ -21,7 +21,7 @@ from unicon_base.schema.marks import Metres, Within, positive
 from unicon_base.schema.types import Here
 from unicon_core.policies.controller import PackedStates
 from unicon_core.states import StateSpec
-from unicon_core.terrain.heights import Heights
+from unicon_core.terrain.height_map import Heights
 
 HEIGHT_SCAN = "height_scan"
 MOST_POINTS = 10_000

@@ -14,8 +14,8 @@ import numpy as np
 
 from unicon_base import AnyDict, AnyMapping, PolicyError
 from unicon_base.arrays import Float32
-from unicon_base.schema.marks import Made, Matches, NotEmpty, Within, Write, positive
-from unicon_core.bounds import POSITION
+from unicon_base.schema.marks import Made, Matches, NotEmpty, Text, Within, Write, positive
+from unicon_core.bounds import POSITION, SCALE
 
 LONGEST_FILTER = 100
 """Samples of a moving average; a policy at 50 Hz sees two seconds then."""
@@ -168,3 +168,22 @@ _FeedText = Annotated[str, Write("observation, observation[0:45] or NAME.output"
 Feeds: TypeAlias = Mapping[
     str, Annotated[tuple[Feed, ...], Made(_feeds, _FeedText | Annotated[list[_FeedText], NotEmpty])]
 ]
+
+
+@dataclass(frozen=True)
+class ClockRate:
+    """How fast a gait clock runs: `(offset + scale · state[index]) / period`, in gaits a second.
+
+    Attributes:
+        state: such as a command with the frequency in [Hz] (`period: 1.0`), or an output.
+        index: element of it.
+        scale, offset: of it.
+    """
+
+    state: Text
+    index: Place = 0
+    scale: Annotated[float, Within(-SCALE, SCALE)] = 1.0
+    offset: Annotated[float, Within(-SCALE, SCALE)] = 0.0
+
+    def __str__(self) -> str:
+        return f"({self.offset:g} + {self.scale:g} · {self.state}[{self.index}])"

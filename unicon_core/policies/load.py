@@ -25,15 +25,14 @@ from unicon_core.policies.facts import Facts, dig, missing_facts
 from unicon_core.policies.file import build_contract
 from unicon_core.policies.from_model import FromModel
 from unicon_core.policies.given import check_agreement, merge_given, nested
-from unicon_core.policies.importers.env_yaml import env_yaml_facts, suggest_joints
+from unicon_core.policies.importers.env_yaml import WEIGHTS, env_yaml_facts, suggest_joints
 from unicon_core.policies.importers.formats import (
     configuration_reader,
     counts_motors,
     metadata_reader,
+    read_python,
     settled,
 )
-from unicon_core.policies.importers.lerobot import WEIGHTS
-from unicon_core.policies.importers.python_config import read_python
 from unicon_core.policies.importers.source import Source
 from unicon_core.policies.networks.onnx_file import OnnxFile, read_onnx
 from unicon_core.policies.policy_yaml import (

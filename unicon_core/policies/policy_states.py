@@ -14,12 +14,18 @@ from unicon_base.arrays import Array
 from unicon_core.policies.chunks import DELAY, PREFIX
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.controller import PackedStates, PrefixedStates
-from unicon_core.policies.derived import RollPitchYaw, derived_states
 from unicon_core.policies.height_scan import HEIGHT_SCAN, HeightScan
 from unicon_core.policies.motion.follow import MotionClock
 from unicon_core.policies.networks.onnx import chained_outputs
 from unicon_core.policies.observation import Observation
-from unicon_core.policies.phase import COMMAND, SLEWED, CommandSlew, GaitPhase
+from unicon_core.policies.phase import (
+    COMMAND,
+    SLEWED,
+    CommandSlew,
+    GaitPhase,
+    RollPitchYaw,
+    derived_states,
+)
 from unicon_core.policies.remote_spec import TIMES, RemoteSpec
 from unicon_core.states import States, StateSpec, standard_states
 

@@ -16,13 +16,12 @@ from unicon_core.policies import Policy, PolicyContract, load_policy, policy_sta
 from unicon_core.policies.action_map import lacking_joints
 from unicon_core.policies.contract import ChildSpec
 from unicon_core.policies.controller import ControllerContract, controller_contract, prefix_of
-from unicon_core.policies.driven import DrivenPolicy
+from unicon_core.policies.policy import DrivenPolicy
 from unicon_core.policies.policy_states import states_of
 from unicon_core.policies.remote_spec import RemoteSpec
 from unicon_core.robots import Robot
 from unicon_core.states import States, StateSpec
-from unicon_core.terrain.height_map import HEIGHT_MAP, MapHeights
-from unicon_core.terrain.heights import Heights
+from unicon_core.terrain.height_map import HEIGHT_MAP, Heights, MapHeights
 from unicon_core.terrain.words import FLAT, read_terrain
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.document import WorkflowDocument, read_part
@@ -31,7 +30,7 @@ from unicon_core.workflow.platforms import facts_of_all, find_platforms
 from unicon_core.workflow.uses import Use
 
 if TYPE_CHECKING:
-    from unicon_core.models.ground_heights import SceneGround
+    from unicon_core.models.terrain import SceneGround
 
 
 def load_policies(document: WorkflowDocument, robot: Robot) -> dict[str, PolicyContract]:
@@ -177,8 +176,8 @@ def ground_under(context: BuildContext, name: str, states: States) -> Heights:
             "is no height_map; add the block elevation_map, or simulate (platform: mujoco)"
         )
     if GROUND not in context.models:
-        from unicon_core.models.ground_heights import SceneGround  # of such policies alone
         from unicon_core.models.load import load_model
+        from unicon_core.models.terrain import SceneGround  # of such policies alone
 
         scene, robot = context.scene, context.robot
         path = pick_model(robot, scene.get("model"), context.relative_to)

@@ -14,7 +14,7 @@ from unicon_base.arrays import Array
 from unicon_core.flow import Block
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.policies import Policy
-from unicon_core.policies.driven import policy_of
+from unicon_core.policies.policy import policy_of
 from unicon_core.runtime.phases import Phase
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES

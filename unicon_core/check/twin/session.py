@@ -25,7 +25,7 @@ from unicon_core.models.load import load_model
 from unicon_core.platforms.platform import info_of
 from unicon_core.policies import Policy, PolicyContract
 from unicon_core.policies.controller import prefix_of
-from unicon_core.policies.driven import DrivenPolicy
+from unicon_core.policies.policy import DrivenPolicy
 from unicon_core.robots import Robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States

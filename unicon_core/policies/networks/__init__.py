@@ -1,10 +1,9 @@
 """Networks: what loads and runs the network of a policy, one module for each runtime."""
 
 from unicon_core.policies.contract import PolicyContract
-from unicon_core.policies.networks.lerobot import LerobotNetwork
 from unicon_core.policies.networks.onnx import ChainedNetworks, OnnxNetwork, threads_of
 from unicon_core.policies.networks.onnx_file import Network, Remembering, Tensor
-from unicon_core.policies.networks.torch import TorchNetwork
+from unicon_core.policies.networks.torch import LerobotNetwork, TorchNetwork
 
 __all__ = ["Network", "OnnxNetwork", "Remembering", "Tensor", "TorchNetwork", "open_network"]
 
