@@ -1,8 +1,8 @@
 """Lays ground under a robot: boxes or a field of heights beside the floor of its model.
 
 Ground touches the robot as the floor of its model did, or as a patch of other friction.
-`SceneGround` says how high the ground is at given points, for height scans: terrain of a scene and a
-model's level floor are computed; of other surroundings rays are cast.
+`SceneGround` says how high the ground is at given points, for height scans: terrain of a scene and
+a model's level floor are computed; of other surroundings rays are cast.
 """
 
 from __future__ import annotations

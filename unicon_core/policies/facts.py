@@ -30,6 +30,7 @@ _STATES = {
     "height_scan": "height_scan",
     "gait_phase_sin": "sin_phase",
     "gait_phase_cos": "cos_phase",
+    "motion_phase": "motion_phase",
     "motion_command": "motion_command",
     "motion_anchor_ori_b": "motion_anchor_ori_b motion_ref_ori_b",
     "motion_anchor_pos_b": "motion_anchor_pos_b motion_ref_pos_b",

@@ -28,42 +28,54 @@ get torques instead: kp (q* − q) − kd q̇ of each millisecond through that l
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 from unicon_base import AnyDict, AnyMapping, PolicyError
-from unicon_base.schema.marks import positive
 from unicon_core.policies.facts import Facts
 from unicon_core.policies.importers.env_yaml import legged_gym_facts
-from unicon_core.policies.importers.source import Source, clip_before_scale, plural
+from unicon_core.policies.importers.source import RATE, Source, scaled_term
 from unicon_core.policies.networks.onnx_file import OnnxFile, read_onnx
 
 _LIMX = "PointfootCfg"
-_RATE = Annotated[float, positive(unit="Hz")]
+_LIMX_FRAME = {
+    "ang_vel": "ang_vel", "gravity": "", "joint_pos": "dof_pos", "joint_vel": "dof_vel",
+    "actions": "",
+}  # fmt: skip
 _STICK = 0.5  # what a LimX program gives at most
 _POINT_GAIT = (2.0, 0.5, 0.5, 0.1)  # of PointfootController.py
-# Term to its state and the key of its scale; of the command, those of vx, vy and wz.
-_FRAME: dict[str, tuple[str, tuple[str, ...]]] = {
-    "clock": ("gait_phase", ()),
-    "command": ("velocity_command", ("lin_vel", "lin_vel", "ang_vel")),
-    "joint_pos": ("joint_pos", ("dof_pos",)),
-    "joint_vel": ("joint_vel", ("dof_vel",)),
-    "actions": ("action", ()),
-    "ang_vel": ("base_ang_vel", ("ang_vel",)),
-    "euler": ("base_rpy", ("quat",)),
+# Term to the key of its scale, "" for 1; of the command, those of vx, vy and wz.
+_FRAME: dict[str, tuple[str, ...]] = {
+    "clock": ("",),
+    "command": ("lin_vel", "lin_vel", "ang_vel"),
+    "joint_pos": ("dof_pos",),
+    "joint_vel": ("dof_vel",),
+    "actions": ("",),
+    "ang_vel": ("ang_vel",),
+    "euler": ("quat",),
 }
 
 
-def _frame(source: Source, place: str, clip: float, history: int) -> list[AnyDict]:
-    """Return the terms of humanoid-gym, with the scales that stand at a place."""
-    terms: list[AnyDict] = []
-    for name, (state, keys) in _FRAME.items():
-        scale = [source.number(f"{place}.{key}") for key in keys] or [1.0]
-        term: AnyDict = {"name": name, "state": state, "scale": plural(scale), "history": history}
-        term["clip"] = clip_before_scale([-clip, clip], scale)
-        if state == "joint_pos":
-            term["subtract"] = "default_joint_pos"
-        terms.append(term)
-    return terms
+def _say_frame(
+    source: Source, moved: int, keys: tuple[str, str, str, str], program: str, **others: Any
+) -> None:
+    """Note the terms of humanoid-gym and the clock.
+
+    Args:
+        source: of the configuration.
+        moved: number of joints.
+        keys: where scales, highest value, number of frames and size of a frame stand.
+        program: that lays out.
+        others: term to keys of its scale, where these are others.
+    """
+    scales, clip, history, size = keys
+    bound, frames = source.number(clip), source.whole(history)
+    terms = []
+    for name, named in (_FRAME | others).items():
+        scale = [source.number(f"{scales}.{key}") if key else 1.0 for key in named]
+        terms.append({**scaled_term(name, scale, bound), "history": frames})
+    terms[-1]["state"] = "base_rpy"
+    source.say_terms(terms, size, 11 + 3 * moved, f"{program} lays out")
+    source.facts.say("observation.layout", "frame_major")
 
 
 def humanoid_gym_facts(source: Source) -> Facts:
@@ -74,11 +86,9 @@ def humanoid_gym_facts(source: Source) -> Facts:
     """
     facts = legged_gym_facts(source)
     facts.source, facts.notes = "humanoid-gym configuration", []
-    moved, history = source.whole("env.num_actions"), source.whole("env.frame_stack")
-    clip = source.number("normalization.clip_observations")
-    terms = _frame(source, "normalization.obs_scales", clip, history)
-    source.say_terms(terms, "env.num_single_obs", 11 + 3 * moved, "humanoid_env.py lays out")
-    facts.say("observation.layout", "frame_major")
+    scales, clip = "normalization.obs_scales", "normalization.clip_observations"
+    places = scales, clip, "env.frame_stack", "env.num_single_obs"
+    _say_frame(source, source.whole("env.num_actions"), places, "humanoid_env.py")
     cycle = source.number("rewards.cycle_time")
     source.say("phase", {"period": cycle, "offsets": [0.0]}, "rewards.cycle_time")
     return facts
@@ -101,27 +111,21 @@ def agibot_facts(source: Source) -> Facts:
         )
     facts.values["name"] = name
     at = f"controllers.{name}"
-    walk = f"{at}.walk_step_conf"
-    decimation = source.whole(f"{walk}.decimation")
-    rate = source.value(_RATE, "control_frequecy")
-    source.say("period", decimation / rate, f"{walk}.decimation")
-    moved = source.whole(f"{at}.onnx_conf.actions_size")
+    walk, onnx = f"{at}.walk_step_conf", f"{at}.onnx_conf"
+    source.say_rate("control_frequecy", f"{walk}.decimation")
+    moved = source.whole(f"{onnx}.actions_size")
     source.say("joints", source.need(f"{at}.joint_list"), f"{at}.joint_list")
     for fact, key in (("default_joint_pos", "init_state"), ("stiffness", ""), ("damping", "")):
         place = f"{at}.{key or fact}"
         source.say(fact, source.numbers(place, moved, "actions_size"), place)
     source.copy("action.scale", f"{walk}.action_scale", 1)
-    most = source.number(f"{at}.onnx_conf.actions_clip")
-    source.say("action.clip", [-most, most], f"{at}.onnx_conf.actions_clip")
-    facts.say("action.feedback", "clipped")
-    history = source.whole(f"{at}.onnx_conf.num_hist")
-    clip = source.number(f"{at}.onnx_conf.observations_clip")
-    terms = _frame(source, f"{at}.obs_scales", clip, history)
-    terms[1]["scale"][2] = 1.0  # of wz, in rl_controller.cc
-    terms[1]["clip"] = clip_before_scale([-clip, clip], terms[1]["scale"])
-    size = f"{at}.onnx_conf.observations_size"
-    source.say_terms(terms, size, 11 + 3 * moved, "rl_controller.cc lays out")
-    facts.say("observation.layout", "frame_major")
+    source.say_clip(f"{onnx}.actions_clip")
+    clip, history, size = (
+        f"{onnx}.{key}" for key in ("observations_clip", "num_hist", "observations_size")
+    )
+    places = f"{at}.obs_scales", clip, history, size
+    command = ("lin_vel", "lin_vel", "")  # wz as it is
+    _say_frame(source, moved, places, "rl_controller.cc", command=command)
     phase: AnyDict = {"period": source.number(f"{walk}.cycle_time"), "offsets": [0.0]}
     if source.value(bool, f"{walk}.sw_mode"):
         below = source.number(f"{walk}.cmd_threshold")
@@ -133,9 +137,9 @@ def agibot_facts(source: Source) -> Facts:
         f"{source.number(f'{at}.lpf_conf.wc'):g} rad/s) and gives {listed} filtered torques; here "
         "the servos have the gains, and nothing is filtered"
     )
-    named = source.need(f"{at}.onnx_conf.policy_file")
+    named = source.need(f"{onnx}.policy_file")
     path = f"policy/{Path(named).name}" if isinstance(named, str) else named
-    source.network(f"{at}.onnx_conf.policy_file", path, source.path.parent.parent)
+    source.network(f"{onnx}.policy_file", path, source.path.parent.parent)
     return facts
 
 
@@ -152,8 +156,7 @@ def limx_facts(source: Source) -> Facts:
     count, control = len(names), "control"
     if count % 2:
         raise source.wrong("joint_names", f"joint_names has {count} names; both legs have as many")
-    rate, decimation = source.value(_RATE, "loop_frequency"), source.whole("control.decimation")
-    source.say("period", decimation / rate, "control.decimation")
+    source.say_rate("loop_frequency", "control.decimation")
     kind = _limx_networks(source)
     if kind == "isaaclab":
         names = [names[i + side] for i in range(count // 2) for side in (0, count // 2)]
@@ -177,13 +180,12 @@ def limx_facts(source: Source) -> Facts:
     source.say("action.scale", scale, f"{control}.action_scale_pos")
     if any(wheels):
         facts.say("action.kind", ["velocity" if wheel else "position" for wheel in wheels])
-    most = source.number("normalization.clip_scales.clip_actions")
-    source.say("action.clip", [-most, most], "normalization.clip_scales.clip_actions")
-    facts.say("action.feedback", "clipped")
+    source.say_clip("normalization.clip_scales.clip_actions")
     gait = _POINT_GAIT
     if any(ankles):
         height = source.number("gait.swing_height")
-        gait = (source.value(_RATE, "gait.frequencies"), *_POINT_GAIT[1:3], height)
+        frequency = source.value(RATE, "gait.frequencies")
+        gait = (frequency, *_POINT_GAIT[1:3], height)
     if not any(wheels):
         facts.say("phase", {"period": 1.0 / gait[0], "offsets": [0.0]}, "its program's gait")
     _limx_terms(source, wheels, gait)
@@ -219,18 +221,14 @@ def _limx_terms(source: Source, wheels: list[bool], gait: tuple[float, ...]) -> 
     actor = read_onnx(facts.model())
     encoder = read_onnx(actor.path.with_name("encoder.onnx"))
     seen = [i for i in range(count) if not wheels[i]]
-    frame: list[AnyDict] = [
-        {"name": "ang_vel", "state": "base_ang_vel", "scale": source.number(f"{scales}.ang_vel")},
-        {"name": "gravity", "state": "projected_gravity"},
-        {"name": "joint_pos", "state": "joint_pos", "subtract": "default_joint_pos",
-         "scale": source.number(f"{scales}.dof_pos")},
-        {"name": "joint_vel", "state": "joint_vel", "scale": source.number(f"{scales}.dof_vel")},
-        {"name": "actions", "state": "action"},
-    ]  # fmt: skip
+    frame = [
+        scaled_term(name, [source.number(f"{scales}.{key}") if key else 1.0])
+        for name, key in _LIMX_FRAME.items()
+    ]
     if any(wheels):
         frame[2]["index"] = seen
     else:
-        frame += [{"name": "clock", "state": "gait_phase"}, {"name": "gait", "value": list(gait)}]
+        frame += [scaled_term("clock", [1.0]), {"name": "gait", "value": list(gait)}]
     size = 6 + len(seen) + 2 * count + (0 if any(wheels) else 6)
     if (told := source.whole("size.observations_size")) != size:
         text = f"is {told}, and its program lays out {size} for {count} joints; correct one"
@@ -247,7 +245,7 @@ def _limx_terms(source: Source, wheels: list[bool], gait: tuple[float, ...]) -> 
     terms = [{**term, "history": history // size} for term in frame]
     keys = ("lin_vel_x", "lin_vel_y", "ang_vel_yaw")
     scale = [source.number(f"user_cmd_scales.{key}") for key in keys]
-    terms.append({"name": "command", "state": "velocity_command", "scale": scale})
+    terms.append(scaled_term("command", scale))
     if zeros:
         terms.append({"name": "unused", "value": [0.0] * zeros})
     facts.values["observation"] = {"layout": "frame_major", "newest": "last", "terms": terms}

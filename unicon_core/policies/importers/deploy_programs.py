@@ -21,8 +21,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from unicon_base import AnyDict
-from unicon_core.policies.facts import Facts, term_state
-from unicon_core.policies.importers.source import Source, motors_of, plural
+from unicon_core.policies.facts import Facts
+from unicon_core.policies.importers.source import Source, motors_of, scaled_term
 
 _PROGRAM = "its deploy program"
 _SLEW = 1.0  # of the command in [m/s²] and [rad/s²]: one period for each tick, in policy.py
@@ -63,7 +63,7 @@ _UNITREE_SCALES = {
 
 def _term(name: str, scale: list[float], moved: Iterable[int]) -> AnyDict:
     """Return a term; of joints it sees the moved ones alone, if any are said."""
-    term = {"name": name, **(term_state(name) or {"state": "gait_phase"}), "scale": plural(scale)}
+    term = scaled_term(name, scale)
     places = list(moved) if term["state"] in ("joint_pos", "joint_vel") else []
     return {**term, "index": places} if places else term
 
@@ -104,10 +104,7 @@ def booster_facts(source: Source) -> Facts:
     else:
         facts.asks["joints"] = f"the {count} motors of the robot in their order: name the robot"
     source.copy("action.scale", "policy.control.action_scale", moved, "num_actions")
-    clip = "policy.normalization.clip_actions"
-    most = source.number(clip)
-    source.say("action.clip", [-most, most], clip)
-    facts.say("action.feedback", "clipped")
+    source.say_clip("policy.normalization.clip_actions")
     part = range(count - moved, count) if moved < count else range(0)
     if joints is not None and part:
         source.say("action.joints", joints[part.start :], "policy.num_actions")

@@ -21,7 +21,7 @@ from unicon_base import AnyDict, AnyMapping, PolicyError, alternatives
 from unicon_base.located_yaml import Where, read_yaml
 from unicon_core.policies.facts import GAINS, Facts, dig, term_state
 from unicon_core.policies.hints import Pair
-from unicon_core.policies.importers.source import Source, clip_before_scale, plural
+from unicon_core.policies.importers.source import Source, clip_before_scale, scaled_term
 
 _FLAGS = ("scale_first", "use_gym_history")
 _KEYS = ("params", "scale", "clip", "history_length")
@@ -163,19 +163,20 @@ def _is_term(value: Any) -> bool:
 
 
 _PHASE = "RoboMimic_Deploy/phase"
-# A term's name -> the state, the key of its scale and its number of elements; 0: all joints.
-_rl_TERMS: dict[str, tuple[str, str, int]] = {
-    "lin_vel": ("base_lin_vel", "lin_vel_scale", 3),
-    "ang_vel": ("base_ang_vel", "ang_vel_scale", 3),
-    "gravity_vec": ("projected_gravity", "", 3),
-    "commands": ("velocity_command", "commands_scale", 3),
-    "dof_pos": ("joint_pos", "dof_pos_scale", 0),
-    "dof_vel": ("joint_vel", "dof_vel_scale", 0),
-    "actions": ("action", "", 0),
-    "whole_body_tracking/motion_command": ("motion_command", "", 0),
-    "whole_body_tracking/motion_anchor_ori_b": ("motion_anchor_ori_b", "", 6),
-    _PHASE: ("motion_phase", "", 1),
+# A term's name -> the key of its scale and its number of elements; 0: all joints.
+_rl_TERMS = {
+    "lin_vel": ("lin_vel_scale", 3),
+    "ang_vel": ("ang_vel_scale", 3),
+    "gravity_vec": ("", 3),
+    "commands": ("commands_scale", 3),
+    "dof_pos": ("dof_pos_scale", 0),
+    "dof_vel": ("dof_vel_scale", 0),
+    "actions": ("", 0),
+    "whole_body_tracking/motion_command": ("", 0),
+    "whole_body_tracking/motion_anchor_ori_b": ("", 6),
+    _PHASE: ("", 1),
 }
+_rl_STATES = {"gravity_vec": "projected_gravity", _PHASE: "motion_phase"}  # by no usual name
 _rl_GAINS = {"stiffness": "rl_kp", "damping": "rl_kd", "default_joint_pos": "default_dof_pos"}
 
 
@@ -279,7 +280,7 @@ def _rl_observation(source: Source, count: int, wheels: list[int]) -> None:
         terms.append({**_rl_term(source, name, bound, count, wheels), "history": len(ages)})
         facts.lines[("observation", "terms", i)] = source.line("observations") or 1
         many = 2 if name.endswith("motion_command") else 1
-        width += many * ((_rl_TERMS[name][2] if name in _rl_TERMS else 0) or count)
+        width += many * ((_rl_TERMS[name][1] if name in _rl_TERMS else 0) or count)
     laid_out = document.get("num_observations")
     if laid_out is not None and laid_out != width and {*names} <= {*_rl_TERMS}:
         raise source.wrong(
@@ -308,17 +309,12 @@ def _rl_term(
             f"{source.path.name}: no state is known for term {name!r}; {known}"
         )
         return {"name": name}
-    state, key, _ = _rl_TERMS[name]
-    term: AnyDict = {"name": name, "state": state}
-    scale = source.numbers(key, 3 if state == "velocity_command" else 1) if key else [1.0]
-    if state == "joint_pos":
-        term["subtract"] = "default_joint_pos"
-        if wheels:
-            scale = [0.0 if i in wheels else scale[0] for i in range(count)]
-    term["scale"] = plural(scale)
-    if bound is not None:
-        term["clip"] = clip_before_scale([-bound, bound], scale)
-    return term
+    key = _rl_TERMS[name][0]
+    scale = source.numbers(key, 3 if name == "commands" else 1) if key else [1.0]
+    if name == "dof_pos" and wheels:
+        scale = [0.0 if i in wheels else scale[0] for i in range(count)]
+    usual = _rl_STATES.get(name) or name.rpartition("/")[2]
+    return {**scaled_term(usual, scale, bound), "name": name}
 
 
 def _rl_motion(source: Source, count: int) -> None:

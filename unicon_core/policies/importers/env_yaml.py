@@ -16,6 +16,11 @@ patterns_cfg.py`, GridPatternCfg; `ray_caster_cfg.py`, ray_alignment), less its 
 `control.decimation`; gains match by a part of the joint's name; actions are clipped to
 `normalization.clip_actions`, and the clipped action is fed back. The terms and the joint order
 stand in Python code, so they must be given; `normalization.obs_scales` has a term's scale.
+
+**LeRobot's `config.json`** beside `model.safetensors`, from huggingface/lerobot 0.4:
+`policies/act/configuration_act.py` and `policies/diffusion/configuration_diffusion.py` name sizes,
+rows and frames. Joints, period, gains and pose stand nowhere in the folder; a data set of ours has
+the robot file's joint order, and positions in [rad] as actions (`unicon bag export --lerobot`).
 """
 
 from __future__ import annotations

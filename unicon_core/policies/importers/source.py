@@ -14,10 +14,10 @@ from typing import Annotated, Any, TypeAlias
 
 from unicon_base import AnyDict, AnyMapping, PolicyError, UniconError, alternatives
 from unicon_base.located_yaml import Located, Tagged, Where
-from unicon_base.schema.marks import Checked, Names, Within, twice
+from unicon_base.schema.marks import Checked, Names, Within, positive, twice
 from unicon_base.schema.read import read_value
 from unicon_core.policies.contract import TORCHSCRIPT
-from unicon_core.policies.facts import Facts, dig, value_of
+from unicon_core.policies.facts import Facts, dig, term_state, value_of
 from unicon_core.policies.hints import ClipBound, listed
 from unicon_core.robots import Robot
 
@@ -26,6 +26,7 @@ RENAMED_RANGES = {"ang_vel_yaw": "ang_vel_z"}
 """A command's name in legged_gym and holosoma to its name in a contract."""
 _ALL = "slice(None, None, None)"  # as Isaac Lab dumps it
 
+RATE = Annotated[float, positive(unit="Hz")]
 Place: TypeAlias = str | Where
 """Keys of a value, or these with dots between them."""
 
@@ -170,6 +171,17 @@ class Source:
         period = self.number(dt) * self.whole(decimation)
         self.say("period", period, dt, f"{dt} · {decimation}")
 
+    def say_rate(self, rate: str, decimation: str) -> None:
+        """Note the control period, steps over the rate of a step in [Hz]; PolicyError of both."""
+        period = self.whole(decimation) / self.value(RATE, rate)
+        self.say("period", period, decimation)
+
+    def say_clip(self, key: str) -> None:
+        """Note the highest size of an action, and that what is clipped is fed back."""
+        most = self.number(key)
+        self.say("action.clip", [-most, most], key)
+        self.facts.say("action.feedback", "clipped")
+
     def say_ranges(self, place: str) -> None:
         """Note the pairs [lowest, highest] of commands that stand at a place, if any do."""
         found = value_of(self.document, place)
@@ -276,6 +288,20 @@ class Source:
 def plural(values: Sequence[Any]) -> Any:
     """Return values as `policy.yaml` has them: a single one is no list."""
     return values[0] if len(values) == 1 else list(values)
+
+
+def scaled_term(name: str, scale: Sequence[float], bound: float | None = None) -> AnyDict:
+    """Return a term by its usual name, a gait phase by any other.
+
+    Args:
+        name: of the term.
+        scale: factors, shape (d,).
+        bound: of what is scaled, or None.
+    """
+    term = {"name": name, **(term_state(name) or {"state": "gait_phase"}), "scale": plural(scale)}
+    if bound is not None:
+        term["clip"] = clip_before_scale([-bound, bound], scale)
+    return term
 
 
 def clip_before_scale(pair: Sequence[float], scale: Sequence[float]) -> list[list[float]]:

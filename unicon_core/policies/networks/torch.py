@@ -1,7 +1,7 @@
 """TorchScript networks behind a policy, and those that LeRobot trained, run by its own classes.
 
-The optional packages `torch` and LeRobot (`pip install 'unicon_ros[lerobot-policies]'`) are imported
-when a network is built.
+The optional packages `torch` and LeRobot (`pip install 'unicon_ros[lerobot-policies]'`) are
+imported when a network is built.
 """
 
 from __future__ import annotations
