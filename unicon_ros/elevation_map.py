@@ -107,16 +107,13 @@ class ElevationMap:
             return
         sources: Mapping[str, FrameSource] = getattr(written[handle].tick, "sources", {})
         source = sources.get(handle.removesuffix("_handle"))
-        if (
-            source is None
-            or source.message.type not in (IMAGE, CLOUD)
-            or source.message.dtype == "|u1"
-        ):
+        message = None if source is None else source.message
+        if message is None or message.type not in (IMAGE, CLOUD) or message.dtype == "|u1":
             raise UniconError(f"elevation_map: {handle!r} has no depths; take a depth or a cloud")
-        self._source, self._handle, self._handle_name = source, states[handle], handle
+        self._source, self._handle = source, states[handle]
         self._turn, self._origin = rotation(np.array(quat)), np.array(position)[:, None]
         self._highest, self._radius, self._base_height = highest, body_radius, base_height
-        self._stale, self._faults = stale, on_stale == "fault"
+        self._stale = stale if on_stale == "fault" else math.inf
         self._grid = ElevationGrid(cells, resolution, decay, body_radius)
         # Simulated frames have the simulation's time, those of devices that of this machine.
         simulated = platform is not None and platform.facts.simulated
@@ -126,10 +123,10 @@ class ElevationMap:
         kept = max(round(KEPT / context.period), 1)
         self._stamps, self._poses = np.zeros(kept, np.int64), np.full((kept, 7), math.nan)
         self._next, self._last, self._fresh = 0, 0, math.inf
-        shape = source.message.shape
+        shape = message.shape
         self._every = -(-math.prod(shape[:2] if len(shape) > 1 else shape) // points)
         self._rays: Array | None = None
-        if source.message.type == IMAGE:
+        if message.type == IMAGE:
             focal = 0.5 * shape[0] / math.tan(0.5 * math.radians(fovy))
             middle = 0.5 * (shape[1] - 1), 0.5 * (shape[0] - 1)
             self._rays = rays(shape[1], shape[0], Intrinsics(focal, focal, *middle))
@@ -157,9 +154,9 @@ class ElevationMap:
                 if source.ring.holds(handle) and self._take(points, stamp):
                     self._fresh = here
         self._next = (self._next + 1) % len(self._stamps)
-        if self._faults and here - self._fresh > self._stale:
+        if here - self._fresh > self._stale:
             raise Fault(
-                f"elevation_map: no frame of {self._handle_name!r} for {self._stale:g} s; see to "
+                f"elevation_map: no frame of {self.reads[-1]!r} for {self._stale:g} s; see to "
                 "the sensor, or give on_stale: last"
             )
 

@@ -20,7 +20,6 @@ import numpy as np
 from unicon_base import AnyDict
 from unicon_base.arrays import Bool, Float32
 from unicon_base.schema.marks import (
-    Core,
     Made,
     Names,
     Text,
@@ -55,7 +54,7 @@ from unicon_core.policies.hints import (
     rounded_one,
 )
 from unicon_core.policies.motion.spec import MotionSpec
-from unicon_core.policies.remote_spec import RemoteSpec
+from unicon_core.policies.remote_spec import ChildSpec, RemoteSpec
 
 ActionKind: TypeAlias = Literal["position", "velocity", "torque"]
 TORCHSCRIPT = (".pt", ".pth", ".jit")
@@ -268,25 +267,6 @@ class PhaseSpec:
             )
 
 
-@dataclass(frozen=True)
-class ChildSpec:
-    """How a network runs in a process of its own, which the workflow says.
-
-    Attributes:
-        delay: ticks of the workflow from an observation to its action, at least 1; where the
-            network is late at real rate, more.
-        timeout: an action whose observation is older than this ends the run, in [s]; None: the
-            longer of a quarter of a second and twice the age that actions have by their delay.
-        cpu: core that the process stays on, or None.
-        threads: of the network.
-    """
-
-    delay: Annotated[int, Within(1, 1000, "ticks")] = 1
-    timeout: Annotated[float | None, Within(0.001, 60.0, "s")] = None
-    cpu: Core | None = None
-    threads: Annotated[int, Within(1, 64)] = 1
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PolicyFacts:
     """What a `policy.yaml` and a contract both say.
@@ -363,6 +343,11 @@ class PolicyContract(PolicyFacts):
     child: ChildSpec | RemoteSpec | None = None
     source: str = "policy.yaml"
     notes: tuple[str, ...] = ()
+
+    @property
+    def threads(self) -> int:
+        """How many threads the networks have: one in the process of the ticks."""
+        return 1 if self.child is None else self.child.threads
 
     @property
     def is_torchscript(self) -> bool:

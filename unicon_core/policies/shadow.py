@@ -198,7 +198,7 @@ class ShadowedPolicy:
             self._return(slow)
         if not self._frozen:
             self._tick(1)
-            if reason := self._lost[1] or self._jump():
+            if reason := self._lost[1] or self._far(self._last, "steps by"):
                 self._theirs[...] = self._last
                 self._return(reason)
             self._last[...] = self._theirs
@@ -231,9 +231,6 @@ class ShadowedPolicy:
     def _slow(self) -> str:
         self._late = self._late + 1 if self._time > self._limit else 0
         return f"{LATE} ticks took over {self._limit * 1e3:.3g} ms" if self._late >= LATE else ""
-
-    def _jump(self) -> str:
-        return self._far(self._last, "steps by")
 
     def _far(self, other: Float32, text: str) -> str:
         """Return which target of B is beyond the bound from others, NaN where there are none."""
@@ -282,7 +279,8 @@ class ShadowedPolicy:
         if slow := self._slow():
             self._out(1, slow)
         elif self._tick(1) is None:
-            why = self._jump() or self._far(self._mine, f"differs from {self.names[0]} by")
+            why = self._far(self._last, "steps by")
+            why = why or self._far(self._mine, f"differs from {self.names[0]} by")
             self._last[...] = self._theirs
             if not why and self._late:
                 why = f"a tick took {float(self._time) * 1e3:.3g} ms"

@@ -14,11 +14,10 @@ from unicon_core.flow import Block
 from unicon_core.models.find import model_of, pick_model
 from unicon_core.policies import Policy, PolicyContract, load_policy, policy_states
 from unicon_core.policies.action_map import lacking_joints
-from unicon_core.policies.contract import ChildSpec
 from unicon_core.policies.controller import ControllerContract, controller_contract, prefix_of
 from unicon_core.policies.policy import DrivenPolicy
 from unicon_core.policies.policy_states import states_of
-from unicon_core.policies.remote_spec import RemoteSpec
+from unicon_core.policies.remote_spec import ChildSpec, RemoteSpec
 from unicon_core.robots import Robot
 from unicon_core.states import States, StateSpec
 from unicon_core.terrain.height_map import HEIGHT_MAP, Heights, MapHeights
@@ -190,7 +189,7 @@ def ground_under(context: BuildContext, name: str, states: States) -> Heights:
 def policy_factory(use: Use, policies: AnyMapping) -> Callable[..., Any]:
     """Return the factory of the block that runs the mentioned policy."""
     name = used_policy(use, policies)
-    contract, prefix, member = policies[name], prefix_of(name, policies), use.of
+    contract, prefix, key = policies[name], prefix_of(name, policies), (name, use.of)
 
     def policy(
         context: BuildContext,
@@ -231,11 +230,11 @@ def policy_factory(use: Use, policies: AnyMapping) -> Callable[..., Any]:
             period=context.period,
             paced=context.paced,
             tell=context.tell,
-            network=context.networks.get((name, member)),
+            network=context.networks.get(key),
             **options,
         )
-        if (name, member) not in context.networks:
-            context.networks[name, member] = made.network
+        if key not in context.networks:
+            context.networks[key] = made.network
             for warning in made.network.warnings:
                 context.tell(warning)
         return made

@@ -1,7 +1,7 @@
 """Networks: what loads and runs the network of a policy, one module for each runtime."""
 
 from unicon_core.policies.contract import PolicyContract
-from unicon_core.policies.networks.onnx import ChainedNetworks, OnnxNetwork, threads_of
+from unicon_core.policies.networks.onnx import ChainedNetworks, OnnxNetwork
 from unicon_core.policies.networks.onnx_file import Network, Remembering, Tensor
 from unicon_core.policies.networks.torch import LerobotNetwork, TorchNetwork
 
@@ -21,4 +21,4 @@ def open_network(contract: PolicyContract) -> Network:
         return LerobotNetwork(contract)
     if contract.networks:
         return ChainedNetworks(contract)
-    return OnnxNetwork(contract.model, contract.provider, threads_of(contract))
+    return OnnxNetwork(contract.model, contract.provider, contract.threads)

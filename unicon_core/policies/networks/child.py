@@ -20,9 +20,10 @@ from unicon_base import AnyDict
 from unicon_base.arrays import Array
 from unicon_base.errors import Fault, PolicyError, UniconError
 from unicon_core.platforms.child.pipe import ALARM, LONGEST, Parent, Pipe, text_of
-from unicon_core.policies.contract import ChildSpec, PolicyContract
+from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.networks import Remembering, open_network
 from unicon_core.policies.networks.onnx_file import Arrays, Tensor
+from unicon_core.policies.remote_spec import ChildSpec
 from unicon_core.signals import SIGNALS
 from unicon_core.states import Layout, States, StateSpec
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter, remove_dead

@@ -96,11 +96,6 @@ def load_session(path: Path, provider: str = "cpu", threads: int = 1) -> Any:
     return session
 
 
-def threads_of(contract: PolicyContract) -> int:
-    """Return how many threads a policy's networks have: one in the process of the ticks."""
-    return 1 if contract.child is None else contract.child.threads
-
-
 class OnnxNetwork:
     """An ONNX model in one onnxruntime session.
 
@@ -187,8 +182,7 @@ class ChainedNetworks:
     """
 
     def __init__(self, contract: PolicyContract) -> None:
-        self._name, provider = contract.name, contract.provider
-        threads = threads_of(contract)
+        self._name, provider, threads = contract.name, contract.provider, contract.threads
         parts: list[tuple[str, Path, Mapping[str, tuple[Feed, ...]]]] = [
             *((part.name, part.model, part.feeds) for part in contract.networks),
             ("", contract.model, contract.feeds),

@@ -43,7 +43,7 @@ class TorchNetwork:
                 "export it as ONNX"
             )
         self._torch = torch
-        torch.set_num_threads(1 if contract.child is None else contract.child.threads)
+        torch.set_num_threads(contract.threads)
         try:
             self._module = torch.jit.load(str(contract.model), map_location="cpu").eval()
         except (RuntimeError, ValueError) as error:
@@ -266,7 +266,7 @@ class LerobotNetwork:
         self._torch = torch = imported("torch", what, EXTRA)
         factory = imported("lerobot.policies.factory", what, EXTRA)
         configs = imported("lerobot.configs.policies", what, EXTRA)
-        torch.set_num_threads(1 if contract.child is None else contract.child.threads)
+        torch.set_num_threads(contract.threads)
         device = "cpu" if contract.provider == "cpu" else "cuda"
         for name in _STEPS:  # a step without a registered name is imported from anywhere
             said = read_yaml(folder / name, PolicyError, foreign=True)
