@@ -601,7 +601,7 @@ ROWS = [
     *_rows(
         "policies/child_policy.py",
         CHILD_POLICY,
-        ("ChildPolicy.__call__", "if age > self._timeout:", "if False:"),
+        ("ChildPolicy._answer", "if age > self._timeout:", "if False:"),
         ("ChildPolicy._take", "if not lane.action_finite():", "if False:"),
         ("ChildPolicy._hold", "np.where(stiffness > 0.0, target, measured)", "measured"),
     ),
