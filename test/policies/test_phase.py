@@ -10,6 +10,7 @@ from policy_helpers import JOINTS, robot, toy_values, write_linear, write_toy
 
 from unicon_base.errors import PolicyError
 from unicon_core.policies import GaitPhase, PhaseSpec, Policy, load_policy, policy_states
+from unicon_core.policies.clock_rate import ClockRate
 from unicon_core.policies.policy_yaml import write_policy_yaml
 from unicon_core.states import States, StateSpec, standard_states
 
@@ -232,3 +233,15 @@ def test_the_policy_block_runs_its_own_clock(tmp_path: Path) -> None:
     policy.reset()
     policy()
     assert states.observation[0] == pytest.approx(np.sin(2 * np.pi * 0.02))
+
+
+@pytest.mark.parametrize(("rate", "begun"), [(3.0, 1), (-1.0, 6), (0.0, 6)])
+def test_a_faster_clock_passes_its_first_offset_once_a_cycle(rate: float, begun: int) -> None:
+    states = States({n: states_of(1).layout.specs[n] for n in states_of(1)} | {"r": StateSpec((1,))})
+    clock = GaitPhase(PhaseSpec(0.36, (0.0,), rate=ClockRate("r")), states, 0.02)
+    states.r = rate
+    count = 0
+    for _ in range(6):  # of 60 degrees at three times the speed
+        clock()
+        count += clock.begins
+    assert count == begun

@@ -322,6 +322,12 @@ def test_contracts_that_disagree_are_refused_when_the_workflow_is_built(tmp_path
         assert said in refused(tmp_path, {"shadow": {"walk": str(b)}})
 
 
+def test_action_chunks_are_refused_without_advice_to_run_them_in_a_child(tmp_path: Path) -> None:
+    b = same(tmp_path / "b", chunk={"size": 2})
+    said = refused(tmp_path, {"shadow": {"walk": str(b)}})
+    assert "go2_velocity is of action chunks, which cannot be swapped" in said
+
+
 @pytest.mark.parametrize(
     ("overrides", "said"),
     [

@@ -122,7 +122,7 @@ class ObservationTerm:
     clip: Clip | None = None
     history: Annotated[int, Within(1, MOST_FRAMES)] = 1
     filter: FilterSpec | None = None
-    value: Annotated[Float32, each(float)] | None = None
+    value: Annotated[Float32, each(Annotated[float, Within(-SCALE, SCALE)])] | None = None
 
     @staticmethod
     def between(found: AnyDict, here: Here) -> None:

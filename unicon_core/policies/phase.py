@@ -103,9 +103,10 @@ class GaitPhase:
 
     @property
     def begins(self) -> bool:
-        """Whether the first phase has just passed its offset, or the phases stand."""
+        """Whether the first phase has just passed its offset, or does not go towards it."""
         since = float((self.phase[0, 0] - self._start[0, 0]) % (2.0 * np.pi))
-        return since < self._step or bool(self._standing[0])
+        step = float(np.ravel(self._advance())[0])
+        return since < step or step <= 0.0 or bool(self._standing[0])
 
     def reset(self) -> None:
         """Start all phases at their offsets."""
@@ -116,10 +117,7 @@ class GaitPhase:
         """Advance by one control period and write the states."""
         phase, clock = self.phase, self._clock
         before = None if self._stand is None else phase.copy()
-        step: float | Float64 = self._step
-        if self._rate is not None:
-            step = step * (self._rate.offset + self._rate.scale * self._rates.astype(np.float64))
-        clock += step + np.pi
+        clock += self._advance() + np.pi
         np.fmod(clock, 2.0 * np.pi, out=clock)
         clock -= np.pi
         if before is not None:
@@ -131,6 +129,13 @@ class GaitPhase:
             self._both[self._standing] = 0.0
         self._sin[...] = self._both[:, :count]
         self._cos[...] = self._both[:, count:]
+
+    def _advance(self) -> float | Float64:
+        """Return how far the phases go in a tick in [rad], shape (rows, 1) where a state says."""
+        if self._rate is None:
+            return self._step
+        step: Float64 = self._rate.offset + self._rate.scale * self._rates.astype(np.float64)
+        return self._step * step
 
     def _stand_still(self, before: Float64) -> None:
         """Put the phases of robots without a command where they stand."""

@@ -39,6 +39,7 @@ def disagreement(a: PolicyContract, b: PolicyContract) -> str:
     for each in (a, b):
         kinds = {
             "in a child": each.child,
+            "of action chunks": each.chunk,
             "of a motion": each.motion or "motion_joint_pos" in each.outputs,
             "of velocities or torques": not each.action.of_kind("position").all(),
         }
