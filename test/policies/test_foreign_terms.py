@@ -153,6 +153,11 @@ def test_two_constants_of_one_name_are_refused(tmp_path: Path) -> None:
         seen_by(tmp_path, terms, 2)
 
 
+def test_a_constant_beyond_single_precision_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(PolicyError, match=re.escape("value.0 is 1e+300; write a number from")):
+        seen_by(tmp_path, [{"name": "a", "value": [1e300]}], 1)
+
+
 def test_a_term_without_state_and_value_is_asked_for(tmp_path: Path) -> None:
     with pytest.raises(PolicyError, match=re.escape("does not say observation.terms.gait.state")):
         seen_by(tmp_path, [{"name": "gait"}], 2)

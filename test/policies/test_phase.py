@@ -237,7 +237,7 @@ def test_the_policy_block_runs_its_own_clock(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("rate", "begun"), [(3.0, 1), (-1.0, 6), (0.0, 6)])
 def test_a_faster_clock_passes_its_first_offset_once_a_cycle(rate: float, begun: int) -> None:
-    states = States({n: states_of(1).layout.specs[n] for n in states_of(1)} | {"r": StateSpec((1,))})
+    states = States({**states_of(1).layout.specs, "r": StateSpec((1,))})
     clock = GaitPhase(PhaseSpec(0.36, (0.0,), rate=ClockRate("r")), states, 0.02)
     states.r = rate
     count = 0

@@ -397,6 +397,7 @@ def test_an_address_is_checked(ipc: str, tmp_path: Path) -> None:
     assert refused("udp://x") == (
         f"{what}'udp://x' is not an address; give tcp://HOST:PORT or ipc://PATH"
     )
+    assert "is not an address" in refused("tcp://127.0.0.1:99999")
     with writing(TCP) as (_, address):
         assert refused(address) == (
             f"{what}{address}: address already in use; end what has it, give another address, or "

@@ -89,7 +89,9 @@ class Endpoint:
         without_keys: bool = False,
     ) -> None:
         self.zmq = zmq = _zmq(what.partition(",")[0])
-        if not str(address).startswith(("tcp://", "ipc://")):
+        port = str(address).removeprefix("tcp://").rpartition(":")[2]  # zmq takes it modulo 2^16
+        tall = str(address).startswith("tcp://") and port.isdigit() and int(port) > 65535
+        if tall or not str(address).startswith(("tcp://", "ipc://")):
             raise StateError(
                 f"{what}: {address!r} is not an address; give tcp://HOST:PORT or ipc://PATH"
             )
