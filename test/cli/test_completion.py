@@ -33,11 +33,11 @@ def offered(line: str) -> list[str]:
     ("line", "words"),
     [
         ("unicon pref", ["preflight"]),
-        ("unicon run go2_st", ["go2_stand"]),
+        ("unicon run go2_sta", ["go2_stairs", "go2_stand"]),
         ("unicon robots g1", ["g1_23dof", "g1_29dof"]),
         ("unicon robots new --k", ["--kind"]),
         ("unicon assets fetch g1_h", ["g1_holosoma_dancing", "g1_holosoma_ppo"]),
-        ("unicon -q policies go2", ["go2_velocity"]),
+        ("unicon -q policies go2_v", ["go2_velocity"]),
         ("unicon run go2_walk --set platform=unitree_l", ["platform=unitree_legged"]),
         ("unicon emulate nobo", []),
     ],

@@ -196,7 +196,7 @@ ANGLE = "a number from -12.5664 to 12.5664 [rad] (are these degrees?)"
         (
             "name: ang_vel, state: base_ang_vel, scale: 0.25",
             "name: ang_vel, value: [2.0, .nan]",
-            ":14: observation.terms.ang_vel.value.1 is nan; write a number",
+            ":14: observation.terms.ang_vel.value.1 is nan; write a number from -1e+06 to 1e+06",
         ),
         (
             "name: ang_vel, state: base_ang_vel, scale: 0.25",

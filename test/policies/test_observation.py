@@ -20,9 +20,9 @@ from unicon_core.states import States, StateSpec, standard_states
 
 SIZES = {
     "joint_pos": 4, "joint_vel": 4, "base_ang_vel": 3, "projected_gravity": 3,
-    "velocity_command": 3, "action": 4, "height_scan": 7,
+    "velocity_command": 3, "action": 4, "terrain": 7,
 }  # fmt: skip
-EXTRA = {"height_scan": StateSpec((7,))}
+EXTRA = {"terrain": StateSpec((7,))}
 
 
 def contract_of(**changes: Any) -> PolicyContract:

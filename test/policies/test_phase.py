@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from policy_helpers import JOINTS, robot, toy_values, write_linear, write_toy
-from unicon_core.policies.clock_rate import ClockRate
 
 from unicon_base.errors import PolicyError
 from unicon_core.policies import GaitPhase, PhaseSpec, Policy, load_policy, policy_states
+from unicon_core.policies.hints import ClockRate
 from unicon_core.policies.policy_yaml import write_policy_yaml
 from unicon_core.states import States, StateSpec, standard_states
 
