@@ -24,7 +24,7 @@ COMPARED = 12
 """Changes whose derivatives are taken of all windows, of those that fit best alone."""
 FOLLOWED, OF_A_KIND = 6, 2
 """Changes that are followed to their best size, of these, and of one kind."""
-PARTS = (0.5, 1.5, 4.0), (1.0,), (1.0,)
+PARTS = (0.5, 1.5, 4.0), (1.0, 4.0), (1.0,)
 """Parts of a fitted step that are tried, in each turn: contacts resist more than a derivative says,
 and less far away."""
 CLEAR = 8.0

@@ -18,9 +18,9 @@ from unicon_lab.diagnose.plant import KINDS, Change, Place
 from unicon_lab.diagnose.replays import Run
 
 REFINED = 7
-"""Turns in which sizes and the unknown beginnings of windows are fitted together, at most. Their
-steps get smaller from the third on, since contacts make the likelihood rough (Robbins and Monro
-1951)."""
+"""Turns in which sizes and the unknown beginnings of windows are fitted together, at most. Steps
+grow while they go one way, since effects of inertia and friction saturate, and get smaller where
+they turn back, since contacts make the likelihood rough (Riedmiller and Braun 1993)."""
 BEGUN = 3
 """Turns in which beginnings alone are, before a candidate is compared with none."""
 _SETTLED = 2
@@ -86,7 +86,8 @@ class Settled:
         """
         usual = np.array([KINDS[kind].usual for kind, _ in at])
         self.begins = begins
-        for turn in range(REFINED):
+        part, last = 1.0, np.zeros(len(at))
+        for _ in range(REFINED):
             now = self.derived(at)
             beside = [at | {place: size + KINDS[place[0]].step} for place, size in at.items()]
             moved = self._run(beside, [self.begins] * len(at))
@@ -94,7 +95,13 @@ class Settled:
             left = self.left(now)
             fitted = self.likelihood.fit(left, slopes, usual)
             sizes = np.array(list(at.values()))
-            after = sizes + fitted.size / max(turn, 1)
+            step = fitted.size / np.sqrt(np.diag(fitted.spread))
+            along, least, last = step @ last, 0.25 * (last @ last), step
+            if along < 0.0:
+                part = 0.5 * min(part, 1.0)
+            elif along > least:
+                part = min(2.0 * part, 4.0)
+            after = sizes + part * fitted.size
             after = np.array([self._run.clip(*each) for each in zip(at, after)])
             if np.all(np.abs(after - sizes) < 0.2 * np.sqrt(np.diag(fitted.spread))):
                 break
