@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from trainer import trainer
 
 pytest.importorskip("onnxruntime")
 pytest.importorskip("mujoco")
@@ -17,13 +17,7 @@ FOLDER = ROOT / "config" / "policies" / "go2_velocity"
 
 @pytest.fixture(scope="module")
 def tools() -> Any:
-    sys.path.insert(0, str(ROOT / "tools" / "train"))
-    try:
-        import evaluate
-        import exam
-    finally:
-        sys.path.pop(0)
-    return exam, evaluate
+    return trainer("exam", "evaluate")
 
 
 def marks(exam: Any, lin: float, ang: float, falls: int) -> list[Any]:

@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from trainer import trainer
 
 onnx = pytest.importorskip("onnx", reason="pip install onnx")
 onnxruntime = pytest.importorskip("onnxruntime", reason="pip install onnxruntime")
 pytest.importorskip("mujoco", reason="pip install mujoco")
 ROOT = Path(__file__).resolve().parents[1]
 NETWORK = str(ROOT / "config" / "policies" / "go2_velocity" / "policy.onnx")
-sys.path.insert(0, str(ROOT / "tools" / "train"))
-try:
-    import integral
-    import network
-finally:
-    sys.path.pop(0)
-
+integral, network = trainer("integral", "network")
 ACTOR, ESTIMATE = network.weights_of(onnx.load(NETWORK))
 INTEGRAL = integral.Integral(ESTIMATE)
 SESSION = onnxruntime.InferenceSession(NETWORK, providers=["CPUExecutionProvider"])

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from trainer import trainer
 
 onnxruntime = pytest.importorskip("onnxruntime")
 mujoco = pytest.importorskip("mujoco")
@@ -112,13 +112,9 @@ def test_it_accepts_batches_and_answers_finitely(session: Any) -> None:
 
 @pytest.fixture(scope="module")
 def walker(folder: Path) -> Any:
-    sys.path.insert(0, str(ROOT / "tools" / "train"))
-    try:
-        from walker import Walker
-    finally:
-        sys.path.pop(0)
+    (module,) = trainer("walker")
     model = mujoco.MjModel.from_xml_path(str(ROOT / "config" / "models" / "go2" / "go2.xml"))
-    return Walker(model, folder)
+    return module.Walker(model, folder)
 
 
 def test_it_walks_where_it_is_told(walker: Any) -> None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from trainer import trainer
 
 pytest.importorskip("onnxruntime")
 pytest.importorskip("mujoco")
@@ -17,14 +17,7 @@ POLICIES = ROOT / "config" / "policies"
 
 @pytest.fixture(scope="module")
 def tools() -> Any:
-    sys.path.insert(0, str(ROOT / "tools" / "train"))
-    try:
-        import contract
-        import stairs
-        import terrain
-    finally:
-        sys.path.pop(0)
-    return contract, stairs, terrain
+    return trainer("contract", "stairs", "terrain")
 
 
 @pytest.mark.parametrize(("policy", "climbs"), [("go2_stairs", True), ("go2_velocity", False)])
