@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
@@ -283,18 +283,23 @@ def test_strangers_disturb_nobody(quick: Path, wanted: str):
         assert made.garbage > 10
 
 
-def test_two_robots_have_memories_of_their_own(quick: Path, server: PolicyServer):
-    alone = [run(asking(quick, server.address, commands=c)).sha256_commands for c in ([], RISING)]
-    assert alone[0] != alone[1]
+def side_by_side(described: Iterable[dict[str, Any]]) -> list[str]:
+    """Run programs tick by tick beside each other; return what each sent."""
     with ExitStack() as stack:
-        programs = [Program(**asking(quick, server.address, commands=c)) for c in ([], RISING)]
+        programs = [Program(**each) for each in described]
         runners = [Runner(p, RunOptions(speed="max", warn=lambda _: None)) for p in programs]
         for program in programs:
             stack.callback(program.close)
         for _ in range(20):
             for runner in runners:
                 runner.tick(0)
-        assert [runner.report().sha256_commands for runner in runners] == alone
+        return [runner.report().sha256_commands for runner in runners]
+
+
+def test_two_robots_have_memories_of_their_own(quick: Path, server: PolicyServer):
+    alone = [run(asking(quick, server.address, commands=c)).sha256_commands for c in ([], RISING)]
+    assert alone[0] != alone[1]
+    assert side_by_side(asking(quick, server.address, commands=c) for c in ([], RISING)) == alone
 
 
 @pytest.mark.slow
@@ -302,16 +307,10 @@ def test_more_robots_than_the_server_has_arrays_for_take_turns(
     quick: Path, wanted: str, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(remote_server, "MOST", 1)
-    with serving(quick) as made, ExitStack() as stack:
-        programs = [Program(**asking(quick, made.address)) for _ in range(2)]
-        runners = [Runner(p, RunOptions(speed="max", warn=lambda _: None)) for p in programs]
-        for program in programs:
-            stack.callback(program.close)
-        for _ in range(20):
-            for runner in runners:
-                runner.tick(0)
+    with serving(quick) as made:
+        found = side_by_side(asking(quick, made.address) for _ in range(2))
         assert len(made._robots) == 1
-        assert [runner.report().sha256_commands for runner in runners] == [wanted] * 2
+        assert found == [wanted] * 2
 
 
 @pytest.mark.parametrize(

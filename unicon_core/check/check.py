@@ -72,7 +72,7 @@ def check_files(subject: Subject, result: CheckResult) -> None:
         files += [(f"network {key}.{part.name}", part.model) for part in contract.networks]
         expected |= {part.model: part.sha256 for part in contract.networks}
         expected[contract.model] = contract.sha256
-        if not (contract.is_torchscript or contract.is_lerobot):
+        if contract.is_onnx:
             external = read_onnx(contract.model).external
             files += [(f"weights {key}", contract.model.parent / name) for name in external]
     rows = []

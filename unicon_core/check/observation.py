@@ -67,7 +67,7 @@ def _networks(contract: PolicyContract) -> list[str]:
         chain = [_network(part.name, part.model, part.feeds) for part in contract.networks]
         last = _network("", contract.model, contract.feeds)
         return ["the networks and what fills them:", *chain, last]
-    if not (contract.is_torchscript or contract.is_lerobot):
+    if contract.is_onnx:
         tensors = {tensor.name: tensor for tensor in read_onnx(contract.model).inputs}
         if tensor := tensors.get(contract.inputs.get("observation", "")):
             return [f"{contract.model.name} takes {tensor}"]

@@ -358,3 +358,8 @@ class PolicyContract(PolicyFacts):
     def is_lerobot(self) -> bool:
         """Whether the network is a folder of LeRobot's."""
         return self.model.suffix == ".safetensors"
+
+    @property
+    def is_onnx(self) -> bool:
+        """Whether the network is an ONNX file, which says what it takes and gives."""
+        return not (self.is_torchscript or self.is_lerobot)

@@ -310,6 +310,3 @@ class RollPitchYaw:
             )
             for w, x, y, z in self._quat.tolist()
         ]
-
-    def reset(self) -> None:
-        """It remembers nothing."""

@@ -141,10 +141,10 @@ class Policy:
         if contract.phase is not None and "gait_phase" in states:
             self.phase = GaitPhase(contract.phase, states, contract.period)
         angles = RollPitchYaw(states) if RPY in derived_states(contract) else None
-        self.scan = None
+        scan = None
         if contract.height_scan is not None and ground is not None:
-            self.scan = HeightScan(contract.height_scan, states, ground)
-        before = (angles, self.slew, self.phase, self.scan)
+            scan = HeightScan(contract.height_scan, states, ground)
+        before = (angles, self.slew, self.phase, scan)
         self._before = tuple(part for part in before if part is not None)
         self.tracker = tracker_of(contract, states, robot, self.lane, model)
         self.endless = self.tracker is None or self.tracker.ticks is None

@@ -96,13 +96,13 @@ def states_of(contract: PolicyContract) -> dict[str, StateSpec]:
     if action.extra in {*states, *standard_states(("joint",)), "observation"}:
         text = f"action.extra is {action.extra!r}, a state that is there; give another name"
         raise PolicyError(f"policy {contract.name}: {text}")
-    if action.extra is not None and not contract.is_torchscript:
+    if action.extra is not None and contract.is_onnx:
         made = chained_outputs(contract).get(contract.outputs.get("action", ""))
         if made is not None and isinstance(made.width, int):
             size = max(made.width - len(action.joints), 1)
             states[action.extra] = StateSpec((size,), description="further outputs")
     more = {name: out for name, out in contract.outputs.items() if name != "action"}
-    if more and not contract.is_torchscript:
+    if more and contract.is_onnx:
         tensors = chained_outputs(contract)
         for name, output in more.items():
             axes = tensors[output].row if output in tensors else ()

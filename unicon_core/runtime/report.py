@@ -14,7 +14,7 @@ from typing import Any
 from unicon_base import AnyDict
 from unicon_base.errors import Fault
 from unicon_core.page import write_file
-from unicon_core.runtime.statistics import TickStatistics
+from unicon_core.runtime.statistics import TickStatistics, percentiles
 from unicon_core.workflow.program_data import ProgramData
 from unicon_core.workflow.shadow import shadowed_in
 
@@ -101,7 +101,9 @@ class Report:
             extra["shadow"] = shadowed.found()
         for (name, _), network in program.context.networks.items():
             if latency := network.latency():
-                extra.setdefault("remote", {})[name] = latency
+                extra.setdefault("remote", {})[name] = {
+                    what: percentiles(times) for what, times in latency.items()
+                }
         return cls(
             program.name,
             program.robot.name,

@@ -153,26 +153,28 @@ GROUND = ("ground",)
 """Where `BuildContext.models` holds the ground of the scene."""
 
 
-def ground_under(context: BuildContext, name: str, states: States) -> Heights:
+def ground_under(context: BuildContext, contract: PolicyContract, states: States) -> Heights | None:
     """Return the height map, or the ground that a simulator lays, one for all policies.
 
     Args:
         context: of the workflow.
-        name: of the policy, for the message.
+        contract: of the policy; None is returned where it has no height scan.
         states: that the policy reads.
 
     Raises:
         PolicyError: the platform is a robot, and there is no height map.
         ModelError: there is no model of the simulated robot.
     """
+    if contract.height_scan is None:
+        return None
     if HEIGHT_MAP in states:
         return MapHeights(states)
     platform = context.platform
     if platform is None or not platform.facts.simulated:
         where = "this part" if platform is None else f"platform {platform.facts.name!r}"
         raise PolicyError(
-            f"policy {name}: nothing fills its height_scan: {where} knows no ground, and there "
-            "is no height_map; add the block elevation_map, or simulate (platform: mujoco)"
+            f"policy {contract.name}: nothing fills its height_scan: {where} knows no ground, and "
+            "there is no height_map; add the block elevation_map, or simulate (platform: mujoco)"
         )
     if GROUND not in context.models:
         from unicon_core.models.load import load_model
@@ -217,8 +219,7 @@ def policy_factory(use: Use, policies: AnyMapping) -> Callable[..., Any]:
                 model = model_of(context.platform, context.robot)
         others = [each for each in policies.values() if each.action.kinds]
         options: AnyDict = {"prefix": prefix, "model": model, "every_target": bool(others)}
-        if contract.height_scan is not None:
-            options["ground"] = ground_under(context, contract.name, states)
+        options["ground"] = ground_under(context, contract, states)
         if contract.child is None:
             return Policy(contract, states, context.robot, **options)
         from unicon_core.policies.child_policy import ChildPolicy  # of Linux alone

@@ -70,9 +70,7 @@ class Shadow:
         """Return a policy with the one beside it, as one block."""
         states, contract = context.states, self.contract
         redirected = PrefixedStates(states, "", {name: self.prefix + name for name in PAIRED})
-        ground = None
-        if contract.height_scan is not None:
-            ground = ground_under(context, contract.name, states)
+        ground = ground_under(context, contract, states)
         other = Policy(contract, redirected, context.robot, prefix=self.prefix, ground=ground)
         names, every = (self.of, f"shadow_{self.of}"), round(contract.period / context.period)
         return ShadowedPolicy(policy, other, states, names, self.entry, every, context.tell)

@@ -22,8 +22,11 @@ EVERY = 1.0
 
 def serve(arguments: argparse.Namespace) -> int:
     """Run the command until a signal ends it; exit status 0."""
+    import numpy as np
+
     from unicon_core.policies import load_policy
     from unicon_core.policies.networks.remote_server import PolicyServer
+    from unicon_core.runtime import percentiles
     from unicon_core.signals import SIGNALS
     from unicon_core.states.backends.zmq_socket import is_exposed
 
@@ -35,11 +38,15 @@ def serve(arguments: argparse.Namespace) -> int:
     server = PolicyServer(load_policy(arguments.policy), arguments.bind, arguments.keys)
     console, counted = Console(), 0
 
+    def inference() -> str:
+        found = percentiles(np.array(server.times) * 1e3)
+        return f"p50 {found['p50']:.2f} ms, p99 {found['p99']:.2f} ms"
+
     def look() -> None:
         nonlocal counted
         if console.due(EVERY):
             rate, counted = (server.answered - counted) / EVERY, server.answered
-            console.status({"answers/s": f"{rate:.0f}", "inference": server.times_text()})
+            console.status({"answers/s": f"{rate:.0f}", "inference": inference()})
 
     try:
         with SIGNALS.guard(server.stop):
@@ -50,7 +57,7 @@ def serve(arguments: argparse.Namespace) -> int:
     finally:
         console.close()
         server.close()
-    print(f"answers  {server.answered}, inference {server.times_text()}")
+    print(f"answers  {server.answered}, inference {inference()}")
     return 0
 
 

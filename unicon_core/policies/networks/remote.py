@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import AnyDict, Fault, PolicyError
-from unicon_base.arrays import Array
+from unicon_base import Fault, PolicyError
+from unicon_base.arrays import Array, Float64
 from unicon_base.resources import sha256_of
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.networks.child import Question, layouts_of
@@ -63,7 +63,7 @@ def contract_hash(contract: PolicyContract) -> bytes:
     said: list[Any] = [contract.inputs, contract.outputs, contract.recurrent, contract.feeds]
     said += [(part.name, part.feeds) for part in contract.networks]
     for model in (contract.model, *(part.model for part in contract.networks)):
-        if contract.is_torchscript:
+        if not contract.is_onnx:
             raise PolicyError(f"{model}: a server runs ONNX networks alone; export it as ONNX")
         said += map(
             sha256_of, (model, *(model.parent / name for name in read_onnx(model).external))
@@ -258,16 +258,10 @@ class RemoteNetwork:
         """Return True when a message has come, False after `timeout` [s]."""
         return bool(self._socket.poll(round(timeout * 1e3)))
 
-    def latency(self) -> AnyDict:
-        """Return p50, p99 and maximum in [ms] of round trip and time of the network."""
-        return dict(zip(("round_trip_ms", "inference_ms"), map(percentiles, zip(*self._times))))
+    def latency(self) -> dict[str, Float64]:
+        """Return round trips and times of the network, of the newest answers in [ms]; or {}."""
+        return dict(zip(("round_trip_ms", "inference_ms"), np.array(self._times).T * 1e3))
 
     def close(self) -> None:
         """Leave the server. Safe to call twice."""
         self._end.close()
-
-
-def percentiles(seconds: Any) -> dict[str, float]:
-    """Return p50, p99 and maximum of some times in [s], in [ms]."""
-    values = np.percentile([*seconds], (50, 99, 100)) * 1e3
-    return dict(zip(("p50", "p99", "max"), np.round(values, 3).tolist()))

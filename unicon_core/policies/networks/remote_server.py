@@ -32,7 +32,6 @@ from unicon_core.policies.networks.remote import (
     fill,
     packed,
     patient_threads,
-    percentiles,
     unpacked,
 )
 from unicon_core.states import States
@@ -155,11 +154,6 @@ class PolicyServer:
 
     def _tell(self, name: bytes, robot: _Robot) -> None:
         self._send(name, ANSWER, robot.told.buffer.data, robot.number, robot.inference_ns)
-
-    def times_text(self) -> str:
-        """Return p50 and p99 of the network's newest calls, in words."""
-        found = percentiles(self.times or [0.0])
-        return f"p50 {found['p50']:.2f} ms, p99 {found['p99']:.2f} ms"
 
 
 class _Robot:
