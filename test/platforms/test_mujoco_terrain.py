@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from unicon_base.errors import UniconError
+from unicon_core.check import check_workflow
 from unicon_core.platforms.platform import info_of
+from unicon_core.runtime import Runner
 from unicon_core.runtime.rollouts import Rollouts
 from unicon_core.workflow import Program, load_document
 
@@ -112,6 +114,40 @@ def test_reports_tell_it():
     }
 
 
-def test_a_robot_that_is_none_is_refused():
-    with pytest.raises(UniconError, match=r"scene\.terrain is for simulators, and platform"):
-        Program(load_document("go2_stand", {"platform": "unitree", "scene.terrain": "rough"}))
+STAIRS = {"scene.terrain": {"stairs": {"rise": 0.08}}}
+
+
+@pytest.mark.parametrize(
+    ("workflow", "platform"),
+    [("go2_stand", "unitree"), ("go2_stand", "fake_robot"), ("go2_stairs", "fake")],
+)
+def test_what_lays_no_ground_leaves_it_to_the_world_and_the_check_notes_it(workflow, platform):
+    said = ["scene.terrain={stairs: {rise: 0.08}}", f"platform={platform}"]
+    result = check_workflow(workflow, said)
+    assert result.clean, result.text()
+    (note,) = (note for note in result.notes if note.code == "scene.ground")
+    assert f"platform {platform!r} lays none" in note.evidence
+    for others in (["scene.terrain=flat", said[1]], [said[0], "platform=mujoco"]):
+        notes = check_workflow(workflow, others).notes
+        assert "scene.ground" not in {note.code for note in notes}
+
+
+def test_a_robot_runs_with_a_terrain_and_a_wrong_one_stays_an_error():
+    there = {"platform": "fake_robot", "duration": 0.2, "start": "none"}
+    report = Runner(Program(load_document("go2_stand", there | STAIRS))).run()
+    assert (report.ended, report.faults) == ("duration", [])
+    with pytest.raises(UniconError, match="'stair'; did you mean 'stairs'"):
+        Program(load_document("go2_stand", there | {"scene.terrain": "stair"}))
+
+
+def test_fake_sees_the_stairs_before_its_base():
+    said = {"platform": "fake", "scene.terrain.stairs.flat": 1.0, "flow": {"policy": "walk"}}
+    program = Program(load_document("go2_stairs", said))
+    Rollouts(program).run(3)
+    assert np.ptp(program.states["height_scan"]) == pytest.approx(0.16)
+    program.close()
+
+
+def test_a_simulator_that_cannot_lay_it_refuses():
+    with pytest.raises(UniconError, match=r"'pybullet' cannot be told scene\.terrain"):
+        Program(load_document("go2_stand", STAIRS | {"platform": "pybullet"}))

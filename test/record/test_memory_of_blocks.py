@@ -151,8 +151,7 @@ def test_a_block_remembers_what_it_declares(
 
 @pytest.mark.parametrize("name", workflow_names())
 def test_blocks_of_shipped_workflows_do(name: str, program: Callable[..., Program]) -> None:
-    terrain = {"scene.terrain": None} if name == "go2_stairs" else {}  # `fake` has no ground
-    built = program(name, platform="fake", **terrain)
+    built = program(name, platform="fake")
     assert memory_of(built, Ticks(built).graphs()).unproven == {}
     proven(own(built), built.states)
 

@@ -45,9 +45,11 @@ from unicon_core.check.result import CheckResult
 from unicon_core.check.rules import CODES, FIRM
 from unicon_core.check.subject import Subject, build_subject, declared_platform, listed
 from unicon_core.evidence import LEVELS, Evidence, load_evidence
+from unicon_core.platforms.kit.scene import CONTACT, TERRAIN
 from unicon_core.platforms.platform import Facts
 from unicon_core.policies.networks.onnx_file import read_onnx
 from unicon_core.robots import Robot, robot_files
+from unicon_core.terrain.words import read_terrain
 from unicon_core.workflow import Hook
 from unicon_core.workflow.document import WorkflowDocument, load_document
 
@@ -126,6 +128,15 @@ def check_seen(subject: Subject, result: CheckResult) -> None:
         result.note("evidence", f"{each.kind} {each.name}", str(each))
 
 
+def check_ground(subject: Subject, result: CheckResult) -> None:
+    """Note a terrain where no simulator lays it under the feet."""
+    physics, terrain = subject.platform.physics, subject.document.get("scene", {}).get(TERRAIN)
+    if terrain and read_terrain(terrain, 0) and not {TERRAIN, CONTACT} <= {*physics}:
+        evidence = f"scene.terrain is for simulators: platform {subject.platform.name!r} lays none"
+        where = subject.document.where("scene", TERRAIN)
+        result.note("scene.ground", "the ground", evidence, "the world gives it", where)
+
+
 def check_reach(subject: Subject, result: CheckResult) -> None:
     """Note the pairs of capsules that a block `reach` leaves out."""
     for block in subject.blocks:
@@ -157,7 +168,7 @@ Check = Callable[[Subject, CheckResult], None]
 CHECKS = (
     check_joints, check_order, check_gains, check_held, check_limits, check_observation,
     check_action, check_fed, check_timing, check_commands, check_pose, check_start, check_gates,
-    check_safety, check_parts, check_keys, check_reach, check_robot,
+    check_safety, check_parts, check_keys, check_reach, check_robot, check_ground,
 )  # fmt: skip
 """Those that `unicon run` asks, too."""
 

@@ -237,6 +237,10 @@ pose.floor error: document, model
   the simulation begins inside the floor or far above it
   the first steps throw the robot up or drop it
   leave scene.initial_height out, or correct it
+scene.ground note: document, platform
+  the platform does not lay the scene's terrain
+  the robot stands on the ground that is there, which may be another one
+  nothing, or simulate: platform: mujoco
 pose.start either: document, policy
   a policy is the first to move a robot that lies
   policies are trained from standing

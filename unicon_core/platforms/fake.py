@@ -13,7 +13,7 @@ from unicon_base import AnyMapping
 from unicon_base.arrays import Float32
 from unicon_base.schema.marks import Unit, Within
 from unicon_core.platforms.kit.command import Command, Servo
-from unicon_core.platforms.kit.scene import GANTRY, Scene
+from unicon_core.platforms.kit.scene import GANTRY, TERRAIN, Scene
 from unicon_core.platforms.kit.start import start_of
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
@@ -62,7 +62,8 @@ class FakePlatform:
     kp (q* - q) + kd (qd* - qd) + tau_ff, clipped to the effort limits.
     """
 
-    facts = Facts("fake", simulated=True, batch=True, writes=SIMULATED, physics=(GANTRY,))
+    # No foot touches the terrain: height scans alone see it.
+    facts = Facts("fake", simulated=True, batch=True, writes=SIMULATED, physics=(GANTRY, TERRAIN))
 
     def __init__(
         self, states: States, robot: Robot, period: float, scene: Scene, time_constant: float

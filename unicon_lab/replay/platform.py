@@ -140,9 +140,8 @@ def replayed_on(document: WorkflowDocument, bag: str | Path, **options: Any) -> 
     document.values["platforms"] = {TARGET: {"bag": str(Path(bag).absolute()), **told}}
     scene = document.values.get("scene")
     if isinstance(scene, dict):
-        seen = ("seed", TERRAIN)  # by height scans
-        document.values["scene"] = {
-            k: v for k, v in scene.items() if k in seen or k not in DISTURBANCES
+        document.values["scene"] = {  # the ground and its seed are seen by height scans
+            k: v for k, v in scene.items() if k == "seed" or k not in DISTURBANCES
         }
     start = document.values.get("start")
     if isinstance(start, dict):  # that moment has passed, and nobody else is there

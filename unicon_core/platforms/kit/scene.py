@@ -26,7 +26,10 @@ from unicon_core.robots.robot import Places
 from unicon_core.terrain.ground import refuse_endless_ground
 from unicon_core.terrain.words import FLAT, Terrain, read_terrain
 
-BODY_PHYSICS = ("payload", "contact_friction")
+CONTACT = "contact_friction"
+"""Word of `Facts.physics`: feet touch the ground."""
+
+BODY_PHYSICS = ("payload", CONTACT)
 """Words of `Facts.physics` that are about bodies."""
 
 HEAVIEST = 1000.0
@@ -54,9 +57,7 @@ class Payload:
 GANTRY = "gantry"
 """Word of `Facts.physics`: a base that is held."""
 
-DISTURBANCES = (
-    *("seed", "noise", "delay", "push", "terrain", "joints", "payload", "contact_friction"),
-)
+DISTURBANCES = ("seed", "noise", "delay", "push", "joints", "payload", "contact_friction")
 """What a simulator can be told and a robot cannot."""
 
 KEYFRAME = "keyframe:"
@@ -94,7 +95,8 @@ class Scene:
         initial_height: of the base in [m]; None sets the robot on the floor.
         gantry: whether springs hold a base that can move where it begins, upright: nobody has to
             balance it.
-        terrain: a kind of ground, or a kind to its figures, see `terrain/words.py`.
+        terrain: a kind of ground, or a kind to its figures, see `terrain/words.py`; a robot stands
+            on the ground that is there.
         seed: of noise and pushes, and of ground that has none of its own; robot k of a batch draws
             from (seed, k), all stand on the same ground.
         delay: ticks by which commands come late.
