@@ -1,12 +1,13 @@
-"""Block `elevation_map`: a height map around the robot, from the frames of a camera or a scanner.
+"""Blocks that write a height map around the robot: `elevation_map` and `grid_map`.
 
     deferred:
       - realsense: {cloud: true}
       - elevation_map: {handle: realsense_cloud_handle, position: [0.3, 0.0, 0.1]}
 
-Each new frame is turned into the world by the pose that the base had at the frame's time. What it
-costs is bounded by `points`; ticks without a new frame only keep the pose. Behind `send` it delays
-no command: a policy sees the map in the next tick. Records have it, and replays give it again.
+`elevation_map` takes frames of a camera or a scanner. Each new one is turned into the world by the
+pose that the base had at the frame's time. What it costs is bounded by `points`; ticks without a
+new frame only keep the pose. `grid_map` takes a layer of the maps on a ROS topic. Behind `send`
+they delay no command: a policy sees the map in the next tick. Replays give it again from records.
 """
 
 from __future__ import annotations
@@ -18,15 +19,24 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from unicon_base import Fault, UniconError, alternatives
-from unicon_base.arrays import Array
+from unicon_base import Fault, UniconError, alternatives, one_line
+from unicon_base.arrays import Array, Float64
 from unicon_base.schema.marks import Point, Quat, Within, positive
 from unicon_core.models.camera import Intrinsics
 from unicon_core.platforms.kit.base import rotation
 from unicon_core.states import StateSpec
-from unicon_core.terrain.height_map import ElevationGrid, height_map_states
+from unicon_core.terrain.height_map import ElevationGrid, height_map_states, without_holes
 from unicon_core.workflow.autowire import BuildContext
+from unicon_msgs_map import Decoder, SubscribeSpec
+from unicon_msgs_map.codec.careful import Rejected
+from unicon_msgs_map.layout.messages import shared_messages
+from unicon_msgs_map.spec import RosName
+from unicon_ros import compat
 from unicon_ros.bridge.images import CLOUD, IMAGE, rays
+from unicon_ros.bridge.map_fit import message_class
+from unicon_ros.bridge.own_node import OwnNode, calm_middleware_threads
+from unicon_ros.bridge.qos import LATCHED, LATEST
+from unicon_ros.bridge.topics import TopicIn
 from unicon_ros.peripheral import FrameSource
 
 MOST_CELLS = 128
@@ -38,8 +48,64 @@ APART = 0.05
 OPTICAL = (0.5, -0.5, 0.5, -0.5)
 """Optical frame (z forward, x right, y down) of a camera that looks along the base's x, wxyz."""
 
+Size = Annotated[float, Within(0.2, 20.0, "m")]
+Resolution = Annotated[float, Within(0.02, 1.0, "m")]
+Stale = Annotated[float, positive(10.0, "s")]
+OnStale = Literal["fault", "last"]
 
-class ElevationMap:
+
+class HeightMap:
+    """What the blocks have in common: the states, and the wait for news.
+
+    Args:
+        context: with states and platform.
+        size: edge of the map in [m].
+        resolution: edge of a cell in [m].
+        stale: so long no news may come, in [s].
+        on_stale: then a `fault`, or go on with the `last` map.
+    """
+
+    name: str
+    endless = outside = True
+
+    def __init__(
+        self, context: BuildContext, size: float, resolution: float, stale: float, on_stale: OnStale
+    ) -> None:
+        states, platform, cells = context.states, context.platform, round(size / resolution)
+        if states.num_robots is not None:
+            raise UniconError(f"{self.name}: it is of one robot; leave num_robots out")
+        if cells > MOST_CELLS:
+            text = f"size / resolution is {cells}, at most {MOST_CELLS}; give a larger resolution"
+            raise UniconError(f"{self.name}: {text}")
+        self.writes = tuple(self.declares(size=size, resolution=resolution))
+        self._out = [states[name] for name in self.writes]
+        # What is simulated has the simulation's time.
+        simulated = platform is not None and platform.facts.simulated
+        self._stamp = states["stamp_ns"] if simulated else None
+        self._pose = states["base_pos_w"], states["base_quat"]
+        self._stale = stale if on_stale == "fault" else math.inf
+        self._cells, self._step, self._fresh = cells, resolution, math.inf
+
+    @staticmethod
+    def declares(*, size: float = 4.0, resolution: float = 0.05, **_: Any) -> dict[str, StateSpec]:
+        """Return the states of the map."""
+        return height_map_states(round(size / resolution), resolution)
+
+    def _write(self, *values: Array) -> None:
+        for out, value in zip(self._out, values):
+            out[...] = value
+
+    def _wait(self, here: float, what: str, why: str = "") -> None:
+        """Raise a Fault if there was no news for too long; the wait begins with the first tick."""
+        self._fresh = min(self._fresh, here)
+        if here - self._fresh > self._stale:
+            raise Fault(
+                f"{self.name}: no {what} for {self._stale:g} s{why}; see to what sends it, or give "
+                "on_stale: last"
+            )
+
+
+class ElevationMap(HeightMap):
     """Writes the states of a height map, see `unicon_core/terrain/height_map.py`.
 
     Args:
@@ -66,7 +132,6 @@ class ElevationMap:
     """
 
     name = "elevation_map"
-    endless = outside = True
 
     def __init__(
         self,
@@ -76,31 +141,22 @@ class ElevationMap:
         position: Point = (0.0, 0.0, 0.0),
         quat: Quat = OPTICAL,
         fovy: Annotated[float, Within(1.0, 170.0, "°")] = 60.0,
-        size: Annotated[float, Within(0.2, 20.0, "m")] = 4.0,
-        resolution: Annotated[float, Within(0.02, 1.0, "m")] = 0.05,
+        size: Size = 4.0,
+        resolution: Resolution = 0.05,
         decay: Annotated[float, positive(unit="s")] = 30.0,
         highest: Annotated[float, Within(-2.0, 5.0, "m")] = 0.5,
         body_radius: Annotated[float, Within(0.0, 5.0, "m")] = 0.5,
         base_height: Annotated[float | None, Within(0.0, 5.0, "m")] = None,
         points: Annotated[int, Within(10, 100_000)] = 3000,
-        stale: Annotated[float, positive(10.0, "s")] = 2.0,
-        on_stale: Literal["fault", "last"] = "fault",
+        stale: Stale = 2.0,
+        on_stale: OnStale = "fault",
     ) -> None:
-        states, platform = context.states, context.platform
-        if states.num_robots is not None:
-            raise UniconError("elevation_map: it is of one robot; leave num_robots out")
+        super().__init__(context, size, resolution, stale, on_stale)
         written = {name: block for block in context.blocks for name in block.writes}
         if handle not in written:
             others = [name for name in written if name.endswith("_handle")]
             known = alternatives(handle, others) if others else "list it behind a camera"
             raise UniconError(f"elevation_map: no block before it fills {handle!r}; {known}")
-        cells = round(size / resolution)
-        if cells > MOST_CELLS:
-            raise UniconError(
-                f"elevation_map: size / resolution is {cells}, at most {MOST_CELLS}; give a larger "
-                "resolution"
-            )
-        self.writes = tuple(self.declares(size=size, resolution=resolution))
         self.reads = ("base_pos_w", "base_quat", "stamp_ns", handle)
         self._source: FrameSource | None = None
         if context.dry:
@@ -110,19 +166,13 @@ class ElevationMap:
         message = None if source is None else source.message
         if message is None or message.type not in (IMAGE, CLOUD) or message.dtype == "|u1":
             raise UniconError(f"elevation_map: {handle!r} has no depths; take a depth or a cloud")
-        self._source, self._handle = source, states[handle]
+        self._source, self._handle = source, context.states[handle]
         self._turn, self._origin = rotation(np.array(quat)), np.array(position)[:, None]
         self._highest, self._radius, self._base_height = highest, body_radius, base_height
-        self._stale = stale if on_stale == "fault" else math.inf
-        self._grid = ElevationGrid(cells, resolution, decay, body_radius)
-        # Simulated frames have the simulation's time, those of devices that of this machine.
-        simulated = platform is not None and platform.facts.simulated
-        self._stamp = states["stamp_ns"] if simulated else None
-        self._pose = states["base_pos_w"], states["base_quat"]
-        self._out = [states[name] for name in self.writes]
+        self._grid = ElevationGrid(self._cells, resolution, decay, body_radius)
         kept = max(round(KEPT / context.period), 1)
         self._stamps, self._poses = np.zeros(kept, np.int64), np.full((kept, 7), math.nan)
-        self._next, self._last, self._fresh = 0, 0, math.inf
+        self._next = self._last = 0
         shape = message.shape
         self._every = -(-math.prod(shape[:2] if len(shape) > 1 else shape) // points)
         self._rays: Array | None = None
@@ -130,11 +180,6 @@ class ElevationMap:
             focal = 0.5 * shape[0] / math.tan(0.5 * math.radians(fovy))
             middle = 0.5 * (shape[1] - 1), 0.5 * (shape[0] - 1)
             self._rays = rays(shape[1], shape[0], Intrinsics(focal, focal, *middle))
-
-    @staticmethod
-    def declares(*, size: float = 4.0, resolution: float = 0.05, **_: Any) -> dict[str, StateSpec]:
-        """Return the states of the map."""
-        return height_map_states(round(size / resolution), resolution)
 
     def __call__(self) -> None:
         """Keep the pose, and take a new frame into the map."""
@@ -144,7 +189,6 @@ class ElevationMap:
         here, pose = time.monotonic(), self._poses[self._next]
         self._stamps[self._next] = here * 1e9 if self._stamp is None else self._stamp
         pose[:3], pose[3:] = self._pose
-        self._fresh = min(self._fresh, here)  # it waits from the first tick on
         handle = int(self._handle)
         if handle and handle != self._last:
             self._last = handle
@@ -154,11 +198,7 @@ class ElevationMap:
                 if source.ring.holds(handle) and self._take(points, stamp):
                     self._fresh = here
         self._next = (self._next + 1) % len(self._stamps)
-        if here - self._fresh > self._stale:
-            raise Fault(
-                f"elevation_map: no frame of {self.reads[-1]!r} for {self._stale:g} s; see to "
-                "the sensor, or give on_stale: last"
-            )
+        self._wait(here, f"frame of {self.reads[-1]!r}")
 
     def _points(self, data: Array) -> Array:
         """Return points in the sensor's frame in [m], shape (3, k); NaN is no measurement."""
@@ -182,6 +222,177 @@ class ElevationMap:
         self._grid.move(now[:2])
         self._grid.add(there[:, taken], stamp * 1e-9)
         under = math.nan if self._base_height is None else now[2] - self._base_height
-        for out, values in zip(self._out, self._grid.measured(stamp * 1e-9, under)):
-            out[...] = values
+        self._write(*self._grid.measured(stamp * 1e-9, under))
         return True
+
+
+GRID_MAP = "grid_map_msgs/msg/GridMap"
+LEVEL = 1e-3
+"""Of a quaternion's x, y and z: a map with more is turned in its frame."""
+
+
+class GridMapDecoder(Decoder):
+    """Takes one layer of GridMaps.
+
+    Args:
+        spec: the topic.
+        layer: whose numbers are heights in [m].
+        frame: that a message has to be in.
+        clock: simulated time in [ns]; None: stamps are on the wall clock.
+        stale: age of a message that is refused, in [s].
+
+    Attributes:
+        heights: of the last message in [m], along y, then x, each from the largest on; NaN where
+            they are not known, and in one more row and column.
+        high: x and y of the map's corner where both are largest, in [m].
+        step: edge of a cell in [m].
+        age: of the last message when it came, in [s]; 0 where it has no stamp.
+    """
+
+    heights: Array
+    high: Array
+    step: float
+    age: float
+
+    def __init__(
+        self, spec: SubscribeSpec, layer: str, frame: str, clock: Array | None, stale: float
+    ) -> None:
+        super().__init__(spec, spec.messages.struct(GRID_MAP), [])
+        self._layer, self._frame, self._clock, self._stale = layer, frame, clock, stale
+        spec.messages.store.get_msgdef(GRID_MAP)  # generates code: 13 ms that no tick has to take
+
+    def read(self, raw: bytes) -> None:
+        """Take a message.
+
+        Raises:
+            Rejected: it is no GridMap, old, in another frame, or contradictory.
+        """
+        try:
+            said = self.spec.messages.store.deserialize_cdr(raw, GRID_MAP)
+            layers = dict(zip(said.layers, said.data, strict=True))
+        except Exception as error:  # whatever such bytes make of the types
+            raise Rejected(f"it is no GridMap: {one_line(error)}") from None
+        head, info, place = said.header, said.info, said.info.pose.position
+        turn = [abs(getattr(info.pose.orientation, axis)) for axis in "xyz"]
+        figures = np.array([info.resolution, info.length_x, info.length_y, place.x, place.y, *turn])
+        stamp = head.stamp.sec * 10**9 + head.stamp.nanosec
+        now = time.time_ns() if self._clock is None else int(self._clock)
+        age = (now - stamp) * 1e-9 if stamp else 0.0
+        if head.frame_id != self._frame:
+            raise Rejected(
+                f"it is in frame {head.frame_id!r}; give frame, if base_pos_w is in that"
+            )
+        if abs(age) > self._stale:
+            raise Rejected(f"it is {age:.3g} s old; see to the clocks (use_sim_time), or to stale")
+        if not (np.isfinite(figures).all() and figures[0] > 0.0 and max(turn) <= LEVEL):
+            raise Rejected(
+                "resolution, lengths, x, y and turn (x, y, z of a quaternion) are "
+                f"{figures.tolist()}; send finite ones, a resolution above 0 and no turn"
+            )
+        if self._layer not in layers:
+            raise Rejected(f"it has no layer {self._layer!r}; {alternatives(self._layer, layers)}")
+        data = layers[self._layer]
+        size = np.round(figures[1:3] / figures[0])
+        columns, rows = size.tolist()
+        sizes = {each.label: each.size for each in data.layout.dim}
+        begin = said.outer_start_index, said.inner_start_index
+        wanted = {"row_index": columns, "column_index": rows}
+        if sizes != wanted or data.data.size != columns * rows or not (begin < size).all():
+            raise Rejected(
+                f"layer {self._layer!r} has {data.data.size} numbers for {sizes} from {begin} on, "
+                f"and its lengths make {wanted}; send as many"
+            )
+        heights = data.data.reshape(list(sizes.values()))
+        heights = heights if next(iter(sizes)) == "column_index" else heights.T
+        heights = np.roll(
+            np.where(np.isfinite(heights), heights, math.nan), -np.array(begin), (1, 0)
+        )
+        self.heights = np.pad(heights, (0, 1), constant_values=math.nan)
+        self.high = figures[3:5] + 0.5 * figures[0] * size
+        self.step, self.age = figures[0], max(age, 0.0)
+
+    def around(self, place: Array, cells: int, step: float) -> tuple[Float64, Array, Float64]:
+        """Return heights in [m] with holes filled, which were measured, and the centre.
+
+        Args:
+            place: x and y that are in the middle, but for half a cell, in [m].
+            cells: along each side.
+            step: edge of a cell in [m]; as long as the message's, the cells are the same.
+        """
+        corner = self.high + step * np.round((place - self.high) / step - 0.5 * cells)
+        at = corner + step * (np.arange(cells)[:, None] + 0.5)
+        last = np.array(self.heights.shape[::-1]) - 1  # which is not known
+        x, y = np.clip(np.floor((self.high - at) / self.step), -1, last).astype(np.intp).T
+        found = self.heights[y[:, None], x]
+        return without_holes(found), np.isfinite(found), corner + 0.5 * step * cells
+
+
+class GridMap(HeightMap):
+    """Writes the states of a height map from maps on a ROS topic (grid_map_msgs/msg/GridMap).
+
+    Args:
+        context: says states and platform.
+        topic: of the maps.
+        layer: whose numbers are heights in [m].
+        frame: that the maps are in, which has to be that of `base_pos_w`; they are not turned.
+        latched: the maps are reliable and the last one waits for late subscribers.
+        size: edge of the map that is kept, the robot amid.
+        resolution: edge of a cell.
+        stale: so long no map may come, nor be old when it comes.
+        on_stale: then a `fault`, or go on with the `last` map, however old.
+
+    Raises:
+        UniconError: there are several robots, ROS is absent, or the middleware cannot be polled.
+        Fault: no map came for too long.
+    """
+
+    name = "grid_map"
+
+    def __init__(
+        self,
+        context: BuildContext,
+        *,
+        topic: RosName = "elevation_map",
+        layer: str = "elevation",
+        frame: str = "odom",
+        latched: bool = False,
+        size: Size = 4.0,
+        resolution: Resolution = 0.05,
+        stale: Stale = 2.0,
+        on_stale: OnStale = "fault",
+    ) -> None:
+        super().__init__(context, size, resolution, stale, on_stale)
+        self.reads = ("base_pos_w", "stamp_ns")
+        self._topic: TopicIn | None = None
+        if context.dry:
+            return
+        qos, messages = LATCHED if latched else LATEST, shared_messages()
+        spec = SubscribeSpec(topic, GRID_MAP, (), messages, qos=qos)
+        maps = self._maps = GridMapDecoder(spec, layer, frame, self._stamp, self._stale)
+        own = self._own = OwnNode("unicon_grid_map", None, ())
+        message, group = message_class(spec), compat.polled_group()
+        self._topic = TopicIn(own.node, maps, message, False, group, context.tell)
+        if not self._topic.polled:
+            self.close()
+            raise UniconError("grid_map: this rclpy cannot be polled; use Humble, Jazzy or Kilted")
+        calm_middleware_threads()
+
+    def __call__(self) -> None:
+        """Take a new map, and keep the robot amid."""
+        topic = self._topic
+        if topic is None:
+            return
+        here, base, received = time.monotonic(), self._pose[0][:2], self._maps.received
+        topic.poll()
+        new = self._maps.received > received
+        away = np.abs(base - self._out[2]).max() > 0.25 * self._cells * self._step
+        if np.isfinite(base).all() and (new or away):
+            self._fresh = here - self._maps.age if new else self._fresh
+            self._write(*self._maps.around(base, self._cells, self._step))
+        self._wait(here, f"map on topic {topic.topic!r}", topic.why and f" (the last: {topic.why})")
+
+    def close(self) -> None:
+        """Leave the topic."""
+        if self._topic is not None:
+            self._topic.close()
+            self._own.close()

@@ -158,7 +158,7 @@ def test_blocks_of_shipped_workflows_do(name: str, program: Callable[..., Progra
 
 def test_no_registered_block_is_left_out() -> None:
     there = {*OPTIONS, *DEVICES, "recorded"}  # whose replay is test_replay's
-    there.add("elevation_map")  # it needs frames: see test_elevation_map
+    there |= {"elevation_map", "grid_map"}  # see test_elevation_map, test_grid_map
     for name in workflow_names():
         text = load_document(name).path.read_text(encoding="utf-8")
         there |= {block for block in known("blocks") if block in text}

@@ -61,6 +61,7 @@ class TopicIn:
         heard: a message was accepted.
         stale: no message was accepted for the time-out.
         polled: False where this rclpy cannot be polled and an executor must call us.
+        why: nothing was accepted of late; empty if the last message was.
     """
 
     def __init__(
@@ -108,7 +109,7 @@ class TopicIn:
         self._at_ns = self._again_ns = 0
         self._again = self._take
         self._told_rejected: set[str] = set()
-        self._why = ""
+        self.why = ""
         if spec.qos.history == "keep_all":
             self._drain = DRAIN
         else:  # a queue of one is empty after a take; a second look costs 0.5 µs of 4
@@ -118,9 +119,9 @@ class TopicIn:
     def silence(self) -> str:
         """What its time-out means, as a message."""
         what = {"hold": "held"}.get(self.spec.on_timeout, self.spec.on_timeout)
-        why = f" (the last: {self._why})" if self._why else ""
+        why = f" (the last: {self.why})" if self.why else ""
         return (
-            f"topic {self.topic}: no {'accepted ' if self._why else ''}message for "
+            f"topic {self.topic}: no {'accepted ' if self.why else ''}message for "
             f"{self._timeout_ns * 1e-9:g} s, {', '.join(self.spec.states)} {what}{why}"
         )
 
@@ -179,7 +180,7 @@ class TopicIn:
         if self.stale:
             self._warn(f"topic {self.topic}: messages come again")
             self.stale = False
-        self.heard, self._latest, self._why = True, raw, ""
+        self.heard, self._latest, self.why = True, raw, ""
         if self._timeout_ns:
             self._at_ns = time.monotonic_ns()
 
@@ -202,7 +203,7 @@ class TopicIn:
         self._ahead.clear()
 
     def _refused(self, reason: str) -> None:
-        self._why = reason
+        self.why = reason
         told = self._told_rejected
         if reason not in told and len(told) < REASONS:  # not for each message
             told.add(reason)
@@ -219,7 +220,7 @@ class TopicIn:
         """Go on as with a silent topic, and try again now and then: each error costs its time."""
         if self._take != self._retry:
             self._again, self._take = self._take, self._retry
-            self._why = f"they cannot be taken: {one_line(error)}"
+            self.why = f"they cannot be taken: {one_line(error)}"
             self._warn(f"topic {self.topic}: messages cannot be taken ({one_line(error)})")
         self._again_ns = time.monotonic_ns() + RETRY_NS
 
