@@ -20,12 +20,12 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from unicon_base import Fault, UniconError, alternatives, one_line
-from unicon_base.arrays import Array, Float64
+from unicon_base.arrays import Array
 from unicon_base.schema.marks import Point, Quat, Within, positive
 from unicon_core.models.camera import Intrinsics
 from unicon_core.platforms.kit.base import rotation
 from unicon_core.states import StateSpec
-from unicon_core.terrain.height_map import ElevationGrid, height_map_states, without_holes
+from unicon_core.terrain.height_map import ElevationGrid, height_map_states
 from unicon_core.workflow.autowire import BuildContext
 from unicon_msgs_map import Decoder, SubscribeSpec
 from unicon_msgs_map.codec.careful import Rejected
@@ -84,7 +84,7 @@ class HeightMap:
         self._stamp = states["stamp_ns"] if simulated else None
         self._pose = states["base_pos_w"], states["base_quat"]
         self._stale = stale if on_stale == "fault" else math.inf
-        self._cells, self._step, self._fresh = cells, resolution, math.inf
+        self._cells, self._reach, self._fresh = cells, 0.5 * size, math.inf
 
     @staticmethod
     def declares(*, size: float = 4.0, resolution: float = 0.05, **_: Any) -> dict[str, StateSpec]:
@@ -229,6 +229,8 @@ class ElevationMap(HeightMap):
 GRID_MAP = "grid_map_msgs/msg/GridMap"
 LEVEL = 1e-3
 """Of a quaternion's x, y and z: a map with more is turned in its frame."""
+NUDGE = 1e-6
+"""In [m]: middles of cells on a border of ours fall on one side of it."""
 
 
 class GridMapDecoder(Decoder):
@@ -242,16 +244,14 @@ class GridMapDecoder(Decoder):
         stale: age of a message that is refused, in [s].
 
     Attributes:
-        heights: of the last message in [m], along y, then x, each from the largest on; NaN where
-            they are not known, and in one more row and column.
-        high: x and y of the map's corner where both are largest, in [m].
-        step: edge of a cell in [m].
-        age: of the last message when it came, in [s]; 0 where it has no stamp.
+        x, y: middles of the last message's cells in [m], shapes (m,) and (k,).
+        heights: in [m], shape (k, m); not finite where they are not known.
+        age: of the message when it came, in [s]; 0 where it has no stamp.
     """
 
+    x: Array
+    y: Array
     heights: Array
-    high: Array
-    step: float
     age: float
 
     def __init__(
@@ -303,28 +303,19 @@ class GridMapDecoder(Decoder):
                 f"and its lengths make {wanted}; send as many"
             )
         heights = data.data.reshape(list(sizes.values()))
-        heights = heights if next(iter(sizes)) == "column_index" else heights.T
-        heights = np.roll(
-            np.where(np.isfinite(heights), heights, math.nan), -np.array(begin), (1, 0)
+        self.heights = heights if next(iter(sizes)) == "column_index" else heights.T
+        self.x, self.y = (
+            corner + NUDGE - figures[0] * ((np.arange(n) - first) % n + 0.5)
+            for corner, n, first in zip(figures[3:5] + 0.5 * figures[1:3], size, begin)
         )
-        self.heights = np.pad(heights, (0, 1), constant_values=math.nan)
-        self.high = figures[3:5] + 0.5 * figures[0] * size
-        self.step, self.age = figures[0], max(age, 0.0)
+        self.age = max(age, 0.0)
 
-    def around(self, place: Array, cells: int, step: float) -> tuple[Float64, Array, Float64]:
-        """Return heights in [m] with holes filled, which were measured, and the centre.
-
-        Args:
-            place: x and y that are in the middle, but for half a cell, in [m].
-            cells: along each side.
-            step: edge of a cell in [m]; as long as the message's, the cells are the same.
-        """
-        corner = self.high + step * np.round((place - self.high) / step - 0.5 * cells)
-        at = corner + step * (np.arange(cells)[:, None] + 0.5)
-        last = np.array(self.heights.shape[::-1]) - 1  # which is not known
-        x, y = np.clip(np.floor((self.high - at) / self.step), -1, last).astype(np.intp).T
-        found = self.heights[y[:, None], x]
-        return without_holes(found), np.isfinite(found), corner + 0.5 * step * cells
+    def points(self, place: Array, reach: float) -> Array:
+        """Return the known middles of cells up to `reach` in [m] from x and y, shape (3, n)."""
+        x, y = (np.abs(at - middle) <= reach for at, middle in zip((self.x, self.y), place))
+        cells = *np.meshgrid(self.x[x], self.y[y]), self.heights[np.ix_(y, x)]
+        points = np.stack(cells).reshape(3, -1)
+        return points[:, np.isfinite(points[2])]
 
 
 class GridMap(HeightMap):
@@ -337,7 +328,7 @@ class GridMap(HeightMap):
         frame: that the maps are in, which has to be that of `base_pos_w`; they are not turned.
         latched: the maps are reliable and the last one waits for late subscribers.
         size: edge of the map that is kept, the robot amid.
-        resolution: edge of a cell.
+        resolution: edge of a cell, best that of the maps; in each the highest of theirs counts.
         stale: so long no map may come, nor be old when it comes.
         on_stale: then a `fault`, or go on with the `last` map, however old.
 
@@ -368,6 +359,7 @@ class GridMap(HeightMap):
             return
         qos, messages = LATCHED if latched else LATEST, shared_messages()
         spec = SubscribeSpec(topic, GRID_MAP, (), messages, qos=qos)
+        self._grid = ElevationGrid(self._cells, resolution, 0.0)
         maps = self._maps = GridMapDecoder(spec, layer, frame, self._stamp, self._stale)
         own = self._own = OwnNode("unicon_grid_map", None, ())
         message, group = message_class(spec), compat.polled_group()
@@ -385,10 +377,13 @@ class GridMap(HeightMap):
         here, base, received = time.monotonic(), self._pose[0][:2], self._maps.received
         topic.poll()
         new = self._maps.received > received
-        away = np.abs(base - self._out[2]).max() > 0.25 * self._cells * self._step
-        if np.isfinite(base).all() and (new or away):
+        if np.isfinite(base).all() and (
+            new or np.abs(base - self._out[2]).max() > 0.5 * self._reach
+        ):
             self._fresh = here - self._maps.age if new else self._fresh
-            self._write(*self._maps.around(base, self._cells, self._step))
+            self._grid.move(base)
+            self._grid.add(self._maps.points(base, self._reach), self._maps.received)
+            self._write(*self._grid.measured(self._maps.received))
         self._wait(here, f"map on topic {topic.topic!r}", topic.why and f" (the last: {topic.why})")
 
     def close(self) -> None:

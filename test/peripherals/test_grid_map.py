@@ -13,7 +13,7 @@ from unicon_base.errors import Fault, UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States, standard_states
-from unicon_core.terrain.height_map import MapHeights
+from unicon_core.terrain.height_map import ElevationGrid, MapHeights
 from unicon_core.workflow import Program, load_document
 from unicon_core.workflow.autowire import BuildContext
 from unicon_msgs_map.layout.messages import shared_messages
@@ -259,7 +259,7 @@ def test_what_does_not_fit_is_refused_with_its_reason(text: str, clock: Any) -> 
 
 def test_truncated_and_changed_bytes_never_raise(clock: Any) -> None:
     maps = GridMapDecoder(SPEC, "elevation", "odom", None, 2.0)
-    whole = grid_map(lengths=(0.3, 0.2))
+    whole, grid = grid_map(lengths=(0.3, 0.2)), ElevationGrid(80, 0.05, 0.0)
     for size in range(len(whole)):
         assert not maps.decode(whole[:size]), size
     random = np.random.default_rng(0)
@@ -268,7 +268,8 @@ def test_truncated_and_changed_bytes_never_raise(clock: Any) -> None:
         for place in random.integers(0, len(raw), random.integers(1, 4)):
             raw[place] = random.choice([0, 1, 127, 255, random.integers(256)])
         if maps.decode(bytes(raw)):
-            maps.around(np.zeros(2), 80, 0.05)
+            grid.move(np.zeros(2))
+            grid.add(maps.points(np.zeros(2), 2.0), 0.0)
     assert maps.received > 300  # of heights, and of what nothing depends on
     assert maps.decode(whole)
 

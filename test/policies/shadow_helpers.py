@@ -130,7 +130,11 @@ def ran(
     told: list[str] = []
 
     def hook(program: Program) -> HookBlocks:
-        names = [n for n in program.states if n.startswith(("shadow_", "joint_pos", "action"))]
+        names = [
+            n
+            for n in program.states
+            if n.startswith(("shadow_", "joint_pos", "action", "observation"))
+        ]
         rows.update({name: [] for name in names})
 
         def look() -> None:

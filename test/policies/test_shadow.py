@@ -61,6 +61,63 @@ def test_it_changes_no_command_and_is_compared_by_joint(tmp_path: Path) -> None:
     assert rows["shadow_walk_time"][1:].min() > 0.0  # of the tick before
 
 
+def test_what_both_see_is_compared_by_term(tmp_path: Path) -> None:
+    """Whatever their order of joints and history: by term, element and age."""
+    said = yaml.safe_load((older(tmp_path / "b") / "policy.yaml").read_text())
+    names, terms = said["joints"], said["observation"]["terms"]
+    order = [3, 4, 5, 0, 1, 2, *range(6, 12)]
+    changed = [dict(term) for term in terms]
+    changed[0]["scale"] = 2.0 * terms[0]["scale"]
+    changed[1]["name"] = "down"
+    b = older(
+        tmp_path / "c",
+        joints=[names[i] for i in order],
+        default_joint_pos=[said["default_joint_pos"][i] for i in order],
+        observation=said["observation"] | {"terms": changed},
+    )
+    run = ran(tmp_path / "w.yaml", b, 0.4)
+    found, rows = run.report.to_dict()["shadow"], run.rows["observation"][:, :3]
+    common = [term["name"] for term in terms if term["name"] != "projected_gravity"]
+    assert list(found["rms_seen"]) == list(found["largest_seen"]) == common
+    # Twice the scale: the difference is what the first policy sees.
+    turned = terms[0]["name"]
+    assert found["rms_seen"][turned] == pytest.approx(np.sqrt((rows**2).mean()), rel=1e-4)
+    assert found["largest_seen"][turned] == pytest.approx(np.abs(rows).max(), rel=1e-4)
+    others = [value for term, value in found["largest_seen"].items() if term != turned]
+    assert max(others) < 1e-5  # last_action by way of the target
+
+
+ROBOT = """\
+robot: go2
+platform: fake_robot
+policies: {walk: go2_velocity}
+rate: 50
+start: {operator: false, fade_in: 0.2, approach: 10.0}
+flow: {chain: [{loop: {do: {policy: walk}, until: {elapsed: 0.5}}}, {hold: {duration: 0.3}}]}
+wind_down: {hold: {duration: 0.2}}
+safety: [finite]
+"""
+
+
+def test_in_the_approach_and_behind_the_policy_a_swap_is_refused_at_once(tmp_path: Path) -> None:
+    answers: dict[str, set[str]] = {}
+
+    def always(shadowed: ShadowedPolicy, runner: Runner) -> None:
+        done, said = shadowed.ask()
+        answers.setdefault(runner.phase.value, set()).add(said)
+        assert not done
+
+    acts = dict.fromkeys(range(1, 500), always)
+    run = ran(tmp_path / "w.yaml", older(tmp_path / "b"), 3.0, acts, text=ROBOT, speed="real")
+    assert (run.report.ended, run.report.faults) == ("done", [])
+    idle = "refused: policy walk does not run"
+    assert answers["approach"] == answers["soft"] == answers["damp"] == {idle}
+    young = "refused: shadow_walk has been fit for 0.02 s of 1 s: it did not run before"
+    assert {idle, young} < answers["run"]
+    assert not run.rows["shadow_walk_share"].any()
+    assert not run.rows["shadow_walk_request"].any()
+
+
 def test_it_sees_what_was_executed_in_its_own_action_space(tmp_path: Path) -> None:
     names = yaml.safe_load((older(tmp_path / "b") / "policy.yaml").read_text())["joints"]
     order = [3, 4, 5, 0, 1, 2, *range(6, 12)]
@@ -114,13 +171,28 @@ def test_a_swap_is_a_blend_of_both_and_one_press_leads_back(tmp_path: Path) -> N
     assert back.report.fell is False
 
 
+def test_it_runs_once_in_each_tick_wherever_it_stands(tmp_path: Path) -> None:
+    runs: list[int] = []
+
+    def count(shadowed: ShadowedPolicy, _: Runner) -> None:
+        infer = shadowed.b.lane.infer
+        shadowed.b.lane.infer = lambda: (runs.append(1), infer())[1]
+
+    acts = {1: count, FIT: ask, FIT + 30: ask}
+    run = ran(tmp_path / "w.yaml", older(tmp_path / "b"), 2.4, acts)
+    assert run.rows["shadow_walk_share"][[FIT + 20, -1]].tolist() == [1.0, 0.0]
+    assert len(runs) == 119
+    # What both see stays the same throughout, the last action too.
+    assert max(run.report.extra["shadow"]["largest_seen"].values()) < 1e-5
+
+
 def test_a_press_in_the_blend_turns_it_round_where_it_is(tmp_path: Path) -> None:
     acts = {FIT: ask, FIT + 1: ask, FIT + 8: ask}
     run = ran(tmp_path / "w.yaml", older(tmp_path / "b"), 1.6, acts)
     assert run.answers == [
         (True, "shadow_walk takes over from walk"),
         (True, "back to walk"),
-        (False, "refused: shadow_walk has been fit for 0.14 s of 1 s: it has just driven"),
+        (False, "refused: shadow_walk has been fit for 0.12 s of 1 s: it has just driven"),
     ]
     share = run.rows["shadow_walk_share"]
     assert share[FIT : FIT + 3] == pytest.approx([1 / 16, 0.0, 0.0])

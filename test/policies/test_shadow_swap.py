@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from shadow_helpers import LIMIT, Ran, ask, older, ran
+from shadow_helpers import LIMIT, WORKFLOW, Ran, ask, older, ran
 from test_shadow import broken
 
 from unicon_core.policies.shadow import ShadowedPolicy
@@ -52,6 +52,45 @@ def exchanged(a: int, b: int) -> Callable[[Path], Path]:
 def plain(tmp_path_factory: pytest.TempPathFactory) -> Ran:
     """A walk without a swap."""
     return ran(tmp_path_factory.mktemp("plain") / "w.yaml", None, SECONDS)
+
+
+@pytest.mark.parametrize(
+    ("a", "b"), [("go2_velocity", "go2_stairs"), ("go2_stairs", "go2_velocity")]
+)
+def test_one_that_sees_and_one_that_is_blind_replace_each_other(
+    tmp_path: Path, a: str, b: str
+) -> None:
+    text, upright, largest = WORKFLOW.replace("go2_velocity", a), 0, 0.0
+    alone = ran(tmp_path / "w.yaml", None, 5.0, text=text)
+    for moment in MOMENTS[::4]:
+        run = ran(tmp_path / "w.yaml", b, 5.0, {moment: ask, moment + 70: ask}, text=text)
+        assert [done for done, _ in run.answers] == [True, True], run.answers
+        assert run.rows["shadow_walk_share"].max() == 1.0
+        upright += run.report.fell is False and not run.report.faults
+        largest = max(largest, float(run.steps[98:].max()))
+        seen = run.report.extra["shadow"]["largest_seen"]
+        assert "height_scan" not in seen
+        assert max(seen.values()) < 1e-5
+    ours = np.abs(np.diff(alone.rows["joint_pos_target"], axis=0))[98:].max()
+    print(f"{a} to {b} and back: upright {upright} of 13, step {largest / ours:.3f}")
+    assert upright == len(MOMENTS[::4]) == 13
+    assert largest <= 1.5 * ours
+
+
+@pytest.mark.parametrize("bound", [0.4, 1.0])
+def test_before_stairs_the_one_that_sees_takes_over_and_climbs_if_it_may_step_far(
+    tmp_path: Path, bound: float
+) -> None:
+    stairs = "scene: {terrain: {stairs: {rise: 0.08, run: 0.3, steps: 5, landing: 8.0}}}\n"
+    text, b = WORKFLOW.replace("0.6", "0.5") + stairs, {"path": "go2_stairs", "bound": bound}
+    run = ran(tmp_path / "w.yaml", b, 9.0, {60: ask}, text=text)
+    assert run.events[0] == "shadow_walk takes over"
+    if bound == 0.4:  # the default: on stairs a calf steps farther, and the blind one drives again
+        assert "its target of RR_calf_joint steps by 0.49 rad" in run.events[1]
+    else:
+        assert len(run.events) == 1
+        assert run.report.fell is False
+        assert run.report.base_displacement_m[2] > 0.35  # 5 steps
 
 
 def largest(run: Ran) -> float:

@@ -139,6 +139,31 @@ def test_the_estop_damps_within_a_tenth_of_a_second(
     assert 0.0 < sorted(delays)[1] <= 0.1, delays
 
 
+def test_the_swap_button_lets_the_shadow_drive_and_the_first_one_again(
+    browser: Any, start: Start, tmp_path: Path
+) -> None:
+    path = tmp_path / "shadowed.yaml"
+    path.write_text(WALKS_ON + "shadow: {walk: {path: go2_stairs, limit: 1.0}}\n")
+    run = start(path, fps=5.0)
+    page, share = Page(browser, run.address), run.program.states["shadow_walk_share"]
+    page.until("[...document.querySelectorAll('button')].some(b => b.innerText.trim() === 'swap')")
+
+    def pressed(reached: float, patience: float = 20.0) -> None:
+        """Press until it is granted, as a person does."""
+        end = time.monotonic() + patience
+        while share != reached and time.monotonic() < end:
+            page.press("swap")
+            time.sleep(1.5)
+        assert share == reached, run.lines
+
+    pressed(1.0)
+    assert page.says("shadow_walk takes over from walk")
+    pressed(0.0)
+    assert page.errors == []
+    page.tab.close()
+    assert run.end().extra["shadow"]["events"][:2] == ["shadow_walk takes over", "back to walk"]
+
+
 def test_a_page_that_hangs_stops_driving_until_a_new_touch(
     browser: Any, start: Start, walks_on: Path
 ) -> None:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 import time
 from contextlib import suppress
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -118,11 +119,19 @@ class ShadowedPolicy:
         )
         self._last = np.full_like(self._live[0], np.nan)
         self.driving = self._step = self._good = self._late = self._idle = self._count = 0
-        self._lost, self._why = ["", ""], "it has not run yet"
+        self._lost, self._why = ["", ""], "it did not run before"
         self._armed = self._frozen = False
-        self._largest, self._sum = np.zeros_like(self._last), np.zeros_like(self._last, np.float64)
+        ours, theirs = seen_at(a), seen_at(b)
+        common = [key for key in ours if key in theirs]
+        self._terms = np.array([term for term, *_ in common])
+        self._seen = [
+            partial(policy.lane.obs[0].take, np.array([at[key] for key in common], np.intp))
+            for policy, at in ((a, ours), (b, theirs))
+        ]
+        # Of the targets, then of what both see.
+        self._largest, self._sum = np.zeros((2, len(self._last) + len(common)))
         self._events: list[str] = []
-        self._ran = self._asked = False
+        self._ran = self._alone = self._asked = False
         self._spent = 0.0
         *told, spent, request = (prefix + name for name in (*PAIRED, *own))
         self.heard = (spent, request)
@@ -186,7 +195,8 @@ class ShadowedPolicy:
         if self._armed and (clock is None or clock.begins):
             self._armed, self.driving, self._good, self._why = False, 1, 0, "it has just driven"
             self._note(f"{self.names[1]} takes over")
-        if not (self.driving or self._step):
+        self._alone = not (self.driving or self._step)
+        if self._alone:
             return self.a()
         self._both()
         return False
@@ -263,17 +273,18 @@ class ShadowedPolicy:
                 self._good, self._armed, self._asked = 0, False, False
             return
         self._ran, self._idle = False, 0
-        alone = not (self.driving or self._step)
-        if alone and not self._lost[1]:
+        if self._alone and not self._lost[1]:
             self._shadow()
-        if not alone:
+        if self.driving or self._step:
             self.a.executed(self._live[0])
         if not (self.driving and self._step == self._steps):
             self.b.executed(self._live[0])
         if not (any(self._lost) or self._frozen):
             self._difference[...] = self._theirs - self._mine
-            self._sum += self._difference**2
-            np.maximum(self._largest, np.abs(self._difference), out=self._largest)
+            ours, theirs = (take() for take in self._seen)
+            apart = np.append(self._difference, theirs - ours)
+            self._sum += apart**2
+            np.maximum(self._largest, np.abs(apart), out=self._largest)
             self._count += 1
 
     def _shadow(self) -> None:
@@ -311,18 +322,31 @@ class ShadowedPolicy:
         self._armed = self._frozen = False
 
     def found(self) -> AnyDict:
-        """Return what was seen, for a report."""
-        rms = np.sqrt(self._sum / max(self._count, 1))
-        worst = int(np.argmax(self._largest))
-        says = f"{self._largest[worst]:.3g} rad apart at most, of {self._joints[worst]}, in "
+        """Return what was seen, for a report; terms as the networks get them, scaled."""
+        n, mean = len(self._joints), self._sum / max(self._count, 1)
+        rms, (largest, seen) = np.sqrt(mean[:n]).round(4), np.split(self._largest, [n])
+        worst = int(np.argmax(largest))
+        says = f"{largest[worst]:.3g} rad apart at most, of {self._joints[worst]}, in "
         says += "; ".join([f"{self._count} ticks", *self._events[-3:]])
+        terms = {term: self._terms == term for term in dict.fromkeys(self._terms.tolist())}
         return {
             "says": says,
             "policy": str(self.b.contract.path),
             "drives": self.names[self.driving],
             "ticks": self._count,
-            "largest_rad": round(float(self._largest[worst]), 4),
+            "largest_rad": round(float(largest[worst]), 4),
             "joint": self._joints[worst],
-            "rms_rad": dict(zip(self._joints, rms.round(4).tolist())),
+            "rms_rad": dict(zip(self._joints, rms.tolist())),
+            "rms_seen": {t: float(np.sqrt(mean[n:][at].mean())) for t, at in terms.items()},
+            "largest_seen": {t: float(seen[at].max()) for t, at in terms.items()},
             "events": list(self._events),
         }
+
+
+def seen_at(policy: Policy) -> dict[tuple[str, str | int, int], int]:
+    """Return term, element and age in frames of what a policy observes, each with its place."""
+    seen, found = policy.lane.observation, {}
+    for place in range(0 if seen is None else seen.size):
+        part, i, age = seen.element_of(place)
+        found[part.term.name, part.names[i] if part.names else i, age] = place
+    return found
