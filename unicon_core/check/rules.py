@@ -239,8 +239,8 @@ pose.floor error: document, model
   leave scene.initial_height out, or correct it
 scene.ground note: document, platform
   the platform does not lay the scene's terrain
-  the robot stands on the ground that is there, which may be another one
-  nothing, or simulate: platform: mujoco
+  the robot stands on the world's ground
+  nothing, or platform: mujoco
 pose.start either: document, policy
   a policy is the first to move a robot that lies
   policies are trained from standing

@@ -218,7 +218,6 @@ class ShadowedPolicy:
         for live, own, other in zip(self._live, *self._pairs):  # exact at both ends
             live[...] = (1.0 - share) * own + share * other
         if not self._step and self._frozen:
-            self._frozen = False
             self._begin()
 
     def _tick(self, number: int) -> BaseException | None:
@@ -286,6 +285,7 @@ class ShadowedPolicy:
             self._sum += apart**2
             np.maximum(self._largest, np.abs(apart), out=self._largest)
             self._count += 1
+        self._frozen = self._frozen and self._step > 0
 
     def _shadow(self) -> None:
         if slow := self._slow():
