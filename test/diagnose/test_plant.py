@@ -19,7 +19,7 @@ from unicon_core.robots import load_robot
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_lab.diagnose.fit import Fit, Parameter, overlay_text
 from unicon_lab.diagnose.likelihood import Likelihood
-from unicon_lab.diagnose.motion import Motion
+from unicon_lab.diagnose.motion import BASE_ANSWERS, Motion
 from unicon_lab.diagnose.plant import KINDS, Place
 from unicon_lab.diagnose.replays import Replays
 from unicon_lab.diagnose.search import Found, Search
@@ -152,6 +152,38 @@ def test_the_base_velocity_is_found_where_windows_begin() -> None:
         found, truth = guess - replays.settle({})[:, -4:-1], states["base_lin_vel"][it.starts]
     worse, better = (np.median(np.abs(each - truth)) for each in (guess, found))
     assert better < 0.015 < worse < 0.03
+
+
+@pytest.mark.parametrize("heading", ["measured", "integrated"])
+def test_a_gyroscope_is_compared_with_the_attitude_unless_that_integrates_it(heading: str) -> None:
+    states, period = states_of("go2_walk", {"scene.noise": NOISE}, seconds=6.0)
+    real, bias = np.ones(len(states["tick"]), np.bool_), 0.2
+    states["base_ang_vel"] = states["base_ang_vel"] + np.array([0.0, 0.0, bias])
+    if heading == "integrated":
+        half = 0.5 * bias * period * np.arange(len(real))
+        w, x, y, z = states["base_quat"].T
+        sin, cos = np.sin(half), np.cos(half)  # the world turns about its z by twice that
+        turned = cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w
+        states["base_quat"] = np.stack(turned, axis=1)
+    it = Motion.of(states, period, real, most=20)
+    with Replays(GO2, Scene(), it, 1) as replays:
+        changes = [{("gyro bias z", -1): bias}, {}]
+        answers = replays(changes, [replays.settle({})] * 2)
+    channel = 12 + BASE_ANSWERS.index("turn rate z against base_quat")
+    right, none = ((it.answers - each)[..., channel].mean() for each in answers)
+    assert right == pytest.approx(0.0, abs=0.05)
+    assert none == pytest.approx(bias * (heading == "measured"), abs=0.05)
+
+
+def test_a_small_turn_of_the_imu_is_reported() -> None:
+    states, period = states_of("go2_walk", {"scene.noise": NOISE}, seconds=6.0)
+    w, x, y, z = states["base_quat"].T
+    turned = np.stack([w - 0.004 * y, x - 0.004 * z, y + 0.004 * w, z + 0.004 * x], axis=1)
+    states["base_quat"] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+    it = Motion.of(states, period, np.ones(len(w), np.bool_), most=20)
+    found = searched(it, [("attitude y", -1), ("attitude x", -1), ("payload", -1)])
+    assert [place for place, _ in found.causes] == [("attitude y", -1)]
+    assert found.change["attitude y", -1] == pytest.approx(0.008, abs=0.003)
 
 
 @pytest.mark.slow

@@ -23,8 +23,12 @@ FALLEN = 0.5
 """Lean in [rad] from which on a walking robot falls: what comes then is not its plant's doing."""
 HUNG_HEIGHT = 3.0
 """Of a base that is held in the air in [m]: no robot's legs reach the ground from there."""
-BASE_ANSWERS = ("gravity x", "gravity y", "turn rate x", "turn rate y", "turn rate z")
-"""What a window answers of a base beside the joints: unit gravity and [rad/s], in its frame."""
+BASE_ANSWERS = (
+    *("gravity x", "gravity y", "turn rate x", "turn rate y", "turn rate z"),
+    *(f"turn rate {axis} against base_quat" for axis in "xyz"),
+)
+"""What a window answers of a base beside the joints: unit gravity, turn rates [rad/s], and what
+these are above the rates by which the attitude turns [rad/s], in its frame."""
 
 
 def gravity_xy(quat: Array) -> Float64:
@@ -163,10 +167,12 @@ class Motion:
         rows = self.starts[:, None] + np.arange(1, self.length + 1)
         parts = [np.asarray(self.measured["joint_pos"][rows], np.float64)]
         if self.has_base:
-            parts += [
-                gravity_xy(self.measured["base_quat"][rows]),
-                np.asarray(self.measured["base_ang_vel"][rows], np.float64),
-            ]
+            rate = np.asarray(self.measured["base_ang_vel"], np.float64)
+            here, before = (rotation(self.measured["base_quat"][each]) for each in (rows, rows - 1))
+            turn = before.swapaxes(-1, -2) @ here
+            turn = 0.5 * (turn - turn.swapaxes(-1, -2))[..., [2, 0, 1], [1, 2, 0]] / self.period
+            parts += [gravity_xy(self.measured["base_quat"][rows]), rate[rows]]
+            parts += [0.5 * (rate[rows] + rate[rows - 1]) - turn]
         return np.concatenate(parts, axis=-1)
 
 

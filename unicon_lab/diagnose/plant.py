@@ -89,8 +89,8 @@ KINDS = {
     "gyro bias y": Kind("rad/s", 0.05, 0.05, 0.01, -1.0, 1.0, 0.7),
     "gyro bias z": Kind("rad/s", 0.05, 0.05, 0.01, -1.0, 1.0, 0.7),
     "IMU latency": Kind("s", 0.01, 0.01, 0.003, 0.0, 0.1, 1.0),
-    "attitude x": Kind("rad", 0.04, 0.03, 0.01, -0.5, 0.5, 0.7),
-    "attitude y": Kind("rad", 0.04, 0.03, 0.01, -0.5, 0.5, 0.7),
+    "attitude x": Kind("rad", 0.04, 0.03, 0.005, -0.5, 0.5, 0.7),
+    "attitude y": Kind("rad", 0.04, 0.03, 0.005, -0.5, 0.5, 0.7),
     "slope x": Kind("", 0.04, 0.05, 0.01, -0.5, 0.5, 0.5, False, _SLOPE),
     "slope y": Kind("", 0.04, 0.05, 0.01, -0.5, 0.5, 0.5),
 }
@@ -119,6 +119,8 @@ AROUND = 3
 LEVEL = 0.03
 """Distance in [m] of the lowest foot from the simulator's ground, from which on the height of the
 base counts as not measured: the robot stood on other ground."""
+SURE = 4.0
+"""Standard errors from which on turn rate and heading disagree."""
 _LOST = np.pi
 """Error in [rad] that stands for physics that blew up."""
 
@@ -162,6 +164,7 @@ class Plant:
         self._gains = np.ones(2)
         self._weaker = np.zeros(robot.num_joints)
         self._bias, self._tilt, self._late = np.zeros(3), np.zeros(3), 0.0
+        self._apart = np.array([1.0, 1.0, motion.has_base and _disagrees(motion.answers[..., -1])])
         self._slope = np.zeros(3)
         self._gravity = np.array(model.opt.gravity)
         self._measured = dict(motion.measured)
@@ -199,7 +202,8 @@ class Plant:
                         late = states["base_ang_vel"] * self._late
                         quat = self._tilted(states["base_quat"], self._tilt - late, 1.0)
                         row[n : n + 2] = gravity_xy(quat)
-                        row[n + 2 :] = states["base_ang_vel"] + self._bias
+                        row[n + 2 : n + 5] = states["base_ang_vel"] + self._bias
+                        row[n + 5 :] = self._bias * self._apart
             except Fault:
                 found[window] = motion.answers[window] + _LOST
                 self._platform.reset()
@@ -321,6 +325,15 @@ class Plant:
         model.body_inertia[body] *= inertia
         mujoco = import_mujoco()
         mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def _disagrees(rate: Float64) -> bool:
+    """Whether a gyroscope's turn rate above that of the heading [rad/s], shape (w, l), is no noise.
+
+    A heading that an IMU integrates from its gyroscope agrees whatever the bias is.
+    """
+    windows = rate.mean(axis=1)
+    return bool(abs(windows.mean()) > SURE * windows.std() / np.sqrt(len(windows)))
 
 
 def _feet(loaded: LoadedModel, robot: Robot) -> Feet | None:
