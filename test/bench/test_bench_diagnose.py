@@ -15,8 +15,11 @@ from benchmarks import diagnose
 from benchmarks.diagnose import judged, rates_of, run
 from benchmarks.injected import HEALTHY, SETUP, SIZES, Case, cases, mistake
 from unicon_base.errors import UniconError
+from unicon_core.models.find import pick_model
+from unicon_core.models.load import load_model
 from unicon_core.robots import load_robot
 from unicon_core.workflow import load_document
+from unicon_core.workflow.members import load_robot_of
 from unicon_core.workflow.policies import load_policies
 from unicon_lab.diagnose import Cause
 
@@ -62,6 +65,30 @@ def test_a_mistake_changes_the_contract_of_each_robot(assets: Path) -> None:
                 same = case.kind in (HEALTHY, "late sensors")
                 assert (repr(changed) == repr(contract)) == same or changed != contract, case
                 assert bool(name) == (case.kind != HEALTHY), case
+
+
+def test_pybullet_has_no_joints_that_its_explicit_damping_shakes(assets: Path) -> None:
+    """From c = 2 M / step on, joints change the signs of their velocities in each physics step."""
+    mujoco = pytest.importorskip("mujoco")
+    step, known = 0.0005, {}
+    for name in PLANTS["pybullet"]:
+        document = load_document(f"{name}_walk")
+        robot = load_robot_of(document)
+        contract = load_policies(document, robot)["walk"]
+        loaded = load_model(pick_model(robot), robot)
+        model, data = loaded.model, mujoco.MjData(loaded.model)
+        model.dof_armature[:] = 0.0
+        order = [contract.joints.index(joint) for joint in robot.joint_names]
+        data.qpos[model.jnt_qposadr[loaded.joints]] = contract.default_joint_pos[order]
+        mujoco.mj_forward(model, data)
+        inverse = np.zeros((model.nv, model.nv))
+        mujoco.mj_solveM(model, data, inverse, np.eye(model.nv))
+        known[name] = inverse[np.ix_(loaded.dofs, loaded.dofs)], contract.damping[order]
+    for case in cases():
+        if case.plant == "pybullet" and case.kind.startswith("viscous"):
+            inverse, damping = (each[case.joints] for each in known[case.robot])
+            most = 2.0 / step / np.linalg.eigvalsh(inverse[:, case.joints]).max()
+            assert case.amount + damping.max() < most, case
 
 
 def cause(name: str, probability: float = 0.9, *alike: str, layer: Any = "plant") -> Cause:
