@@ -190,6 +190,16 @@ KINDS: dict[str, tuple[Change, str, float | None]] = {
     ),
     "velocities": (scaled("joint_vel", 20.0), "observation scale of joint_vel_rel", 20.0),
     "gyro": (scaled("base_ang_vel", 4.0), "observation scale of base_ang_vel", 4.0),
+    **{
+        f"{state} times {factor}": (
+            scaled(state, factor), f"observation scale of {term}", factor,
+        )
+        for state, term, factor in (
+            ("base_ang_vel", "base_ang_vel", 1.8),
+            ("joint_vel", "joint_vel_rel", 7.4),
+            ("joint_pos", "joint_pos_rel", 0.3),
+        )
+    },
     "all scales": (
         lambda c: with_scales(c, lambda t: np.sign(t.scale)), "observation scales", None,
     ),

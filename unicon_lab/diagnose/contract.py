@@ -15,7 +15,7 @@ import numpy as np
 
 from unicon_base import AnyDict, Fault, UniconError, WorkflowError, alternatives, one_line
 from unicon_base.arrays import Array, Bool
-from unicon_core.check.twin.perturb import AS_GIVEN, GAINS, Change
+from unicon_core.check.twin.perturb import AS_GIVEN, GAINS, TERMS, Change
 from unicon_core.check.twin.repair import repairs
 from unicon_core.policies import PolicyContract, load_policy
 from unicon_core.policies.action_map import ActionMap, lacking_joints
@@ -25,7 +25,7 @@ from unicon_core.robots import Robot, joint_index, load_robot
 from unicon_core.workflow.members import load_robot_of
 from unicon_core.workflow.policies import load_policies
 from unicon_lab.diagnose import Cause, name_of
-from unicon_lab.diagnose.open_loop import LEAST, OpenLoop, hypotheses
+from unicon_lab.diagnose.open_loop import LEAST, OpenLoop, hypotheses, nearer
 from unicon_lab.recording import Record
 from unicon_lab.replay.workflow import recorded_workflow, robot_of, workflow_of
 
@@ -37,6 +37,7 @@ LEFT = 0.1
 """Share of the residual that an explanation other than these contracts is taken to leave."""
 _SIZES = (100, 200, 500, 1000, 2000, 4000)  # ticks that are tried
 _FINAL = 12  # hypotheses that are tried over more ticks
+_FITTED = 3  # terms whose scale is fitted, where no other contract made the record
 _MOST = 5  # causes that are returned
 _RIGHT = "for this record; correct what is not as in training"
 _VARIED = "the policy under commands of every direction and turn"
@@ -144,6 +145,14 @@ def _examined(played: OpenLoop, label: str, tell: Tell) -> tuple[list[Cause], li
     for i, each in enumerate(tried):
         tell(f"{label}: contracts", i / len(tried))
         left.append(played.residual(each, enough(0)))
+    scales = dict[str, int]()
+    for i in np.argsort(left, kind="stable").tolist():
+        if tried[i].culprit.startswith(f"{TERMS}scale of"):
+            scales.setdefault(tried[i].culprit, i)
+    for i in [*scales.values()][:_FITTED] if min(left) > SAME else ():
+        fitted = nearer(played, tried[i], enough(0))
+        if abs(fitted.size - 1.0) > LEAST and (off := played.residual(fitted, enough(0))) < left[i]:
+            tried[i], left[i] = fitted, off
     ticks = enough(500)
     before = float(np.sqrt(squares[:ticks].mean()))
     for i in np.argsort(left, kind="stable")[:_FINAL].tolist():

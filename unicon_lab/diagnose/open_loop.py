@@ -14,7 +14,14 @@ import numpy as np
 
 from unicon_base import Fault, UniconError
 from unicon_base.arrays import Array, Bool, Float64
-from unicon_core.check.twin.perturb import GAINS, Change, field_changed, with_action
+from unicon_core.check.twin.perturb import (
+    GAINS,
+    TERMS,
+    Change,
+    field_changed,
+    with_action,
+    with_term,
+)
 from unicon_core.models.find import pick_model
 from unicon_core.models.load import load_model
 from unicon_core.platforms.kit.base import rotation
@@ -29,6 +36,7 @@ SHORTEST = 10  # ticks of the policy
 _MEMORY = 50  # ticks after which a recurrent network has forgotten how it began
 LEAST = 0.01
 """Of a fitted factor beside 1, and of an angle in [rad]: what is less is rounding."""
+_SECANTS = 8  # steps in which the scale of an observation is fitted
 _SENSORS = ("joint_pos", "joint_vel", "base_ang_vel", "projected_gravity", "base_quat")
 
 
@@ -299,6 +307,43 @@ def _fitted(played: OpenLoop, target: Float64) -> Iterator[Change]:
             text = f"an action.filter of alpha {alpha:.3g}"
             other = FilterSpec(alpha=alpha, start=start)
             yield field_changed(contract, text, "action.filter", other, size=alpha, figures=1)
+
+
+def nearer(played: OpenLoop, change: Change, ticks: int) -> Change:
+    """Return another scale of an observation as it fits the recorded targets best, by secants.
+
+    Args:
+        played: the record.
+        change: the scale to begin with.
+        ticks: how many of the first rows are compared.
+    """
+    contract, seen = change.contract, (played.counts & (played.clamped == 0.0))[:ticks]
+    assert contract is not None
+    pairs = enumerate(zip(contract.terms, played.contract.terms))
+    place = next(i for i, (other, given) in pairs if other is not given)
+
+    def scaled(factor: float) -> Change:
+        scale = contract.terms[place].scale * np.float32(factor)
+        size = change.size * factor
+        name = f"the {change.culprit.removeprefix(TERMS)} times {size:.3g}"
+        other = with_term(contract, place, scale=scale)
+        return replace(change, name=name, contract=other, size=size, figures=1)
+
+    at, last, spread = 1.0, 1.1, 0.0
+    with suppress(Fault, UniconError):  # too large a scale is beyond a network's numbers
+        before = played.run(scaled(last), ticks)
+        for _ in range(_SECANTS):
+            now = played.run(scaled(at), ticks)
+            slope = np.where(seen, now - before, 0.0) / (at - last)
+            power = max(float((slope**2).sum()), 1e-12)
+            left = np.where(seen, played.target[:ticks] - now, 0.0)
+            step = float((slope * left).sum()) / power
+            noise = 10.0 * float((left**2).sum()) / max(int(seen.sum()), 1)
+            spread = 1.96 * float(np.sqrt(noise / power))
+            last, before, at = at, now, at + float(np.clip(step, -0.5 * at, at))
+            if abs(at - last) < 1e-4 * at:
+                break
+    return replace(scaled(at), spread=change.size * spread)
 
 
 def _frames(played: OpenLoop) -> Iterator[Change]:
