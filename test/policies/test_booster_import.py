@@ -127,9 +127,9 @@ def test_the_observation_is_that_of_its_program(tmp_path: Path) -> None:
             [0.0] * 3,
             "stiffness has 4 values for the 3 of common.default_qpos; give 3",
         ),
-        ("policy.num_actions", 5, "policy.num_actions is 5, and common.default_qpos has 4 joints"),
+        ("policy.num_actions", 5, "policy.num_actions is 5; write a whole number from 1 to 4"),
         ("policy.num_observations", 47, "what deploy/utils/policy.py lays out for 2 actions has"),
-        ("policy.gait_frequency", 0, "policy.gait_frequency is 0; give the steps in [Hz]"),
+        ("policy.gait_frequency", 0, "policy.gait_frequency is 0; write a number above 0 [Hz]"),
         ("policy.control.decimation", -10, "decimation is -10; write a whole number from 1"),
         ("policy.normalization.dof_vel", None, "has no 'policy.normalization.dof_vel'; add it"),
         ("policy.policy_path", "./models/other.pt", "policy_path names other.pt, which is not"),
@@ -156,8 +156,8 @@ def test_another_robot_is_refused_and_none_asks_for_the_joints(tmp_path: Path) -
     path, _ = write(tmp_path)
     with pytest.raises(PolicyError, match="has 4 joints, and robot 'toy' has 2 motors; choose"):
         load_policy(path, robot=robot(JOINTS[:2]))
-    with pytest.raises(PolicyError, match="the 4 motors of the robot in their order: name the"):
+    with pytest.raises(PolicyError, match="motors 0, 1, 2, 3 of the robot: name the"):
         load_policy(path)
     assert load_policy(path, given={"joints": list(JOINTS)}).joints == JOINTS
-    with pytest.raises(PolicyError, match=r"given joints has 1 names, and common\.default_qpos"):
+    with pytest.raises(PolicyError, match=r"given joints has 1 names, and it counts motors 0, 1, 2, 3; name"):
         load_policy(path, given={"joints": ["a_hip"]})

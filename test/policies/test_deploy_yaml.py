@@ -210,7 +210,7 @@ def test_joint_pos_is_absolute_and_joint_pos_rel_relative(tmp_path: Path) -> Non
         (
             DEPLOY[DEPLOY.index("  base_ang_vel:") :],
             "  policy: 3\n",
-            ":17: observations.policy is 3; no term",
+            ":17: observations.policy is 3; write a mapping of terms",
         ),
         (
             "step_dt: 0.02",
@@ -249,7 +249,8 @@ def test_without_a_robot_the_joints_are_asked_for(tmp_path: Path) -> None:
     with pytest.raises(PolicyError) as caught:
         load_policy(path)
     assert str(caught.value) == (
-        f"{path}: the deploy.yaml does not say joints (the joint names in policy order); give it "
+        f"{path}: the deploy.yaml does not say joints (the joint names in policy order; motors "
+        "2, 0, 3, 1 of the robot: name the robot); give it "
         "under 'given' in the workflow, with the keys of policy.yaml"
     )
     contract = load_policy(path, given={"joints": ["m2", "m0", "m3", "m1"]})

@@ -166,9 +166,9 @@ def test_a_motion_policy_reads_the_reference_of_the_step_before(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("joint_damping", "1.0,2.0", "joint_damping has 2 numbers for 4 joint_names"),
+        ("joint_damping", "1.0,2.0", "joint_damping has 2 values for 4 joint_names"),
         ("joint_damping", "1,2,x,4", "joint_damping has 'x' where a number belongs"),
-        ("action_scale", "0.5,0.5", "action_scale has 2 numbers for 4 joint_names"),
+        ("action_scale", "0.5,0.5", "action_scale has 2 values for 4 joint_names"),
         (
             "observation_terms_scale",
             "1.0,1.0",

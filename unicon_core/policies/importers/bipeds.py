@@ -27,52 +27,60 @@ get torques instead: kp (q* − q) − kd q̇ of each millisecond through that l
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from unicon_base import AnyDict, AnyMapping, PolicyError
-from unicon_core.policies.facts import Facts
+from unicon_core.policies.facts import GAINS, Facts
 from unicon_core.policies.importers.env_yaml import legged_gym_facts
-from unicon_core.policies.importers.source import RATE, Source, scaled_term
+from unicon_core.policies.importers.source import RATE, Source
 from unicon_core.policies.networks.onnx_file import OnnxFile, read_onnx
 
 _LIMX = "PointfootCfg"
 _LIMX_FRAME = {
-    "ang_vel": "ang_vel", "gravity": "", "joint_pos": "dof_pos", "joint_vel": "dof_vel",
-    "actions": "",
+    "ang_vel": "ang_vel", "gravity": "1", "joint_pos": "dof_pos", "joint_vel": "dof_vel",
+    "actions": "1",
 }  # fmt: skip
+_LIMX_DAMPING = {"wheel": "wheel_joint_damping", "ankle": "ankle_joint_damping"}
 _STICK = 0.5  # what a LimX program gives at most
 _POINT_GAIT = (2.0, 0.5, 0.5, 0.1)  # of PointfootController.py
-# Term to the key of its scale, "" for 1; of the command, those of vx, vy and wz.
-_FRAME: dict[str, tuple[str, ...]] = {
-    "clock": ("",),
-    "command": ("lin_vel", "lin_vel", "ang_vel"),
-    "joint_pos": ("dof_pos",),
-    "joint_vel": ("dof_vel",),
-    "actions": ("",),
-    "ang_vel": ("ang_vel",),
-    "euler": ("quat",),
+# Term to the keys of its scale, "1" for 1; of the command, those of vx, vy and wz.
+_FRAME = {
+    "clock": "1",
+    "command": "",
+    "joint_pos": "dof_pos",
+    "joint_vel": "dof_vel",
+    "actions": "1",
+    "ang_vel": "ang_vel",
+    "euler": "quat",
 }
 
 
 def _say_frame(
-    source: Source, moved: int, keys: tuple[str, str, str, str], program: str, **others: Any
+    source: Source,
+    moved: int,
+    scales: str,
+    keys: Iterable[str],
+    program: str,
+    command: str = "lin_vel lin_vel ang_vel",
 ) -> None:
     """Note the terms of humanoid-gym and the clock.
 
     Args:
         source: of the configuration.
         moved: number of joints.
-        keys: where scales, highest value, number of frames and size of a frame stand.
+        scales: what stands before the keys of the scales.
+        keys: where highest value, number of frames and size of a frame stand.
         program: that lays out.
-        others: term to keys of its scale, where these are others.
+        command: keys of its scale.
     """
-    scales, clip, history, size = keys
+    clip, history, size = keys
     bound, frames = source.number(clip), source.whole(history)
-    terms = []
-    for name, named in (_FRAME | others).items():
-        scale = [source.number(f"{scales}.{key}") if key else 1.0 for key in named]
-        terms.append({**scaled_term(name, scale, bound), "history": frames})
+    frame = _FRAME | {"command": command}
+    terms = [
+        {**source.term(*pair, scales, bound=bound), "history": frames} for pair in frame.items()
+    ]
     terms[-1]["state"] = "base_rpy"
     source.say_terms(terms, size, 11 + 3 * moved, f"{program} lays out")
     source.facts.say("observation.layout", "frame_major")
@@ -86,9 +94,9 @@ def humanoid_gym_facts(source: Source) -> Facts:
     """
     facts = legged_gym_facts(source)
     facts.source, facts.notes = "humanoid-gym configuration", []
-    scales, clip = "normalization.obs_scales", "normalization.clip_observations"
-    places = scales, clip, "env.frame_stack", "env.num_single_obs"
-    _say_frame(source, source.whole("env.num_actions"), places, "humanoid_env.py")
+    keys = "normalization.clip_observations", "env.frame_stack", "env.num_single_obs"
+    moved = source.whole("env.num_actions")
+    _say_frame(source, moved, "normalization.obs_scales.", keys, "humanoid_env.py")
     cycle = source.number("rewards.cycle_time")
     source.say("phase", {"period": cycle, "offsets": [0.0]}, "rewards.cycle_time")
     return facts
@@ -115,17 +123,13 @@ def agibot_facts(source: Source) -> Facts:
     source.say_rate("control_frequecy", f"{walk}.decimation")
     moved = source.whole(f"{onnx}.actions_size")
     source.say("joints", source.need(f"{at}.joint_list"), f"{at}.joint_list")
-    for fact, key in (("default_joint_pos", "init_state"), ("stiffness", ""), ("damping", "")):
-        place = f"{at}.{key or fact}"
-        source.say(fact, source.numbers(place, moved, "actions_size"), place)
+    for fact, key in zip(("default_joint_pos", *GAINS), ("init_state", *GAINS)):
+        source.copy(fact, f"{at}.{key}", moved, "actions_size")
     source.copy("action.scale", f"{walk}.action_scale", 1)
     source.say_clip(f"{onnx}.actions_clip")
-    clip, history, size = (
-        f"{onnx}.{key}" for key in ("observations_clip", "num_hist", "observations_size")
-    )
-    places = f"{at}.obs_scales", clip, history, size
-    command = ("lin_vel", "lin_vel", "")  # wz as it is
-    _say_frame(source, moved, places, "rl_controller.cc", command=command)
+    keys = (f"{onnx}.{key}" for key in ("observations_clip", "num_hist", "observations_size"))
+    command = "lin_vel lin_vel 1"  # wz as it is
+    _say_frame(source, moved, f"{at}.obs_scales.", keys, "rl_controller.cc", command)
     phase: AnyDict = {"period": source.number(f"{walk}.cycle_time"), "offsets": [0.0]}
     if source.value(bool, f"{walk}.sw_mode"):
         below = source.number(f"{walk}.cmd_threshold")
@@ -152,8 +156,8 @@ def limx_facts(source: Source) -> Facts:
     facts = source.facts
     facts.source, source.document = "LimX params.yaml", source.need(_LIMX)
     source.files = [(source.located, (_LIMX,))]
-    names = list(source.value(list[str], "joint_names"))
-    count, control = len(names), "control"
+    names = source.numbers("joint_names", hint=list[str])
+    count = len(names)
     if count % 2:
         raise source.wrong("joint_names", f"joint_names has {count} names; both legs have as many")
     source.say_rate("loop_frequency", "control.decimation")
@@ -163,26 +167,19 @@ def limx_facts(source: Source) -> Facts:
     source.say("joints", names, "joint_names")
     pose = "init_state.default_joint_angle"
     facts.say("default_joint_pos", [source.number(f"{pose}.{name}") for name in names], pose)
-    wheels = [name.startswith("wheel") for name in names]
-    ankles = [name.startswith("ankle") for name in names]
-    scale, kp, kd = (
-        [source.number(f"{control}.{key}")] * count
-        for key in ("action_scale_pos", "stiffness", "damping")
-    )
-    for i in range(count):
-        if wheels[i]:
-            scale[i] = kd[i] = source.number(f"{control}.wheel_joint_damping")
-            kp[i] = 0.0
-        elif ankles[i]:
-            kd[i] = source.number(f"{control}.ankle_joint_damping")
-    facts.say("stiffness", kp, control)
-    facts.say("damping", kd, control)
-    source.say("action.scale", scale, f"{control}.action_scale_pos")
+    parts = [name.partition("_")[0] for name in names]
+    wheels = [part == "wheel" for part in parts]
+    position, kp = (source.number(f"control.{key}") for key in ("action_scale_pos", "stiffness"))
+    kd = [source.number(f"control.{_LIMX_DAMPING.get(part, 'damping')}") for part in parts]
+    facts.say("stiffness", [0.0 if wheel else kp for wheel in wheels], "control")
+    facts.say("damping", kd, "control")
+    scale = [d if wheel else position for d, wheel in zip(kd, wheels)]
+    source.say("action.scale", scale, "control.action_scale_pos")
     if any(wheels):
         facts.say("action.kind", ["velocity" if wheel else "position" for wheel in wheels])
     source.say_clip("normalization.clip_scales.clip_actions")
     gait = _POINT_GAIT
-    if any(ankles):
+    if "ankle" in parts:
         height = source.number("gait.swing_height")
         frequency = source.value(RATE, "gait.frequencies")
         gait = (frequency, *_POINT_GAIT[1:3], height)
@@ -217,22 +214,19 @@ def _limx_networks(source: Source) -> str:
 
 
 def _limx_terms(source: Source, wheels: list[bool], gait: tuple[float, ...]) -> None:
-    facts, count, scales = source.facts, len(wheels), "normalization.obs_scales"
+    facts, count = source.facts, len(wheels)
     actor = read_onnx(facts.model())
     encoder = read_onnx(actor.path.with_name("encoder.onnx"))
     seen = [i for i in range(count) if not wheels[i]]
-    frame = [
-        scaled_term(name, [source.number(f"{scales}.{key}") if key else 1.0])
-        for name, key in _LIMX_FRAME.items()
-    ]
+    frame = [source.term(*pair, "normalization.obs_scales.") for pair in _LIMX_FRAME.items()]
     if any(wheels):
         frame[2]["index"] = seen
     else:
-        frame += [scaled_term("clock", [1.0]), {"name": "gait", "value": list(gait)}]
+        frame += [source.term("clock"), {"name": "gait", "value": list(gait)}]
     size = 6 + len(seen) + 2 * count + (0 if any(wheels) else 6)
-    if (told := source.whole("size.observations_size")) != size:
-        text = f"is {told}, and its program lays out {size} for {count} joints; correct one"
-        raise source.wrong("size.observations_size", f"size.observations_size {text}")
+    if (said := source.whole(place := "size.observations_size")) != size:
+        text = f"is {said}, and its program lays out {size} for {count} joints; correct one"
+        raise source.wrong(place, f"{place} {text}")
     (given, history), (latent, _) = _only(encoder.inputs, encoder), _only(encoder.outputs, encoder)
     (taken, width), code = _only(actor.inputs, actor), source.whole("size.encoder_output_size")
     zeros = width - code - size - 3
@@ -243,17 +237,17 @@ def _limx_terms(source: Source, wheels: list[bool], gait: tuple[float, ...]) -> 
             "this params.yaml"
         )
     terms = [{**term, "history": history // size} for term in frame]
-    keys = ("lin_vel_x", "lin_vel_y", "ang_vel_yaw")
-    scale = [source.number(f"user_cmd_scales.{key}") for key in keys]
-    terms.append(scaled_term("command", scale))
+    terms.append(source.term("command", "lin_vel_x lin_vel_y ang_vel_yaw", "user_cmd_scales."))
     if zeros:
         terms.append({"name": "unused", "value": [0.0] * zeros})
     facts.values["observation"] = {"layout": "frame_major", "newest": "last", "terms": terms}
     named = str(Path(facts.values["onnx"]).with_name("encoder.onnx"))
     fed = {given: f"observation[0:{history}]"}
-    facts.values["networks"] = {"encoder": {"onnx": named, "feeds": fed}}
     newest = f"observation[{history - size}:{history + 3 + zeros}]"
-    facts.values["feeds"] = {taken: [f"encoder.{latent}", newest]}
+    facts.values |= {
+        "networks": {"encoder": {"onnx": named, "feeds": fed}},
+        "feeds": {taken: [f"encoder.{latent}", newest]},
+    }
 
 
 def _only(tensors: tuple[Any, ...], file: OnnxFile) -> tuple[str, int]:

@@ -17,27 +17,27 @@ has them (`qpos[7:]`); the second names motors (`leg_joint2motor_idx`), holds th
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
+from typing import Annotated
 
-from unicon_base import AnyDict
+from unicon_base.schema.marks import Within
 from unicon_core.policies.facts import Facts
-from unicon_core.policies.importers.source import Source, motors_of, scaled_term
+from unicon_core.policies.importers.source import RATE, Source, motors_of
 
 _PROGRAM = "its deploy program"
 _SLEW = 1.0  # of the command in [m/s²] and [rad/s²]: one period for each tick, in policy.py
 _STILL = 1e-5  # [m/s], [rad/s]: no command below it, in policy.py
 _BOOSTER = {"stiffness": "stiffness", "damping": "damping", "default_joint_pos": "default_qpos"}
 # Term to the keys of its scale under `policy.normalization`, in the order of policy.py.
-_BOOSTER_SCALES: dict[str, list[str]] = {
-    "gravity": ["gravity"],
-    "ang_vel": ["ang_vel"],
-    "command": ["lin_vel", "lin_vel", "ang_vel"],
-    "cos_phase": [],
-    "sin_phase": [],
-    "dof_pos": ["dof_pos"],
-    "dof_vel": ["dof_vel"],
-    "actions": [],
+_BOOSTER_SCALES = {
+    "gravity": "gravity",
+    "ang_vel": "ang_vel",
+    "command": "lin_vel lin_vel ang_vel",
+    "cos_phase": "1",
+    "sin_phase": "1",
+    "dof_pos": "dof_pos",
+    "dof_vel": "dof_vel",
+    "actions": "1",
 }
 
 _PERIOD = 0.8  # of the clock in [s]; it stands in both programs
@@ -52,20 +52,13 @@ _UNITREE = {
 # Term to the key of its scale, in the order of the programs.
 _UNITREE_SCALES = {
     "ang_vel": "ang_vel_scale",
-    "gravity": "",
+    "gravity": "1",
     "command": "cmd_scale",
     "joint_pos": "dof_pos_scale",
     "joint_vel": "dof_vel_scale",
-    "last_action": "",
-    "phase": "",
+    "last_action": "1",
+    "phase": "1",
 }
-
-
-def _term(name: str, scale: list[float], moved: Iterable[int]) -> AnyDict:
-    """Return a term; of joints it sees the moved ones alone, if any are said."""
-    term = scaled_term(name, scale)
-    places = list(moved) if term["state"] in ("joint_pos", "joint_vel") else []
-    return {**term, "index": places} if places else term
 
 
 def booster_facts(source: Source) -> Facts:
@@ -76,49 +69,33 @@ def booster_facts(source: Source) -> Facts:
     """
     path, facts = source.path, source.facts
     facts.source = "Booster configuration"
-    dt = source.number("common.dt")
+    dt, pose = source.number("common.dt"), "common.default_qpos"
     source.say_period("common.dt", "policy.control.decimation")
-    pose = "common.default_qpos"
-    count, moved = len(source.numbers(pose)), source.whole("policy.num_actions")
-    if moved > count:
-        raise source.wrong(
-            "policy.num_actions",
-            f"policy.num_actions is {moved}, and {pose} has {count} joints; give at most as many",
-        )
+    count = len(source.numbers(pose))
+    moved = source.value(Annotated[int, Within(1, count)], "policy.num_actions")
     for fact, key in _BOOSTER.items():
         source.copy(fact, f"common.{key}", count, pose)
-    named = f"{pose} has {count}; name the joints of all motors in their order"
-    joints, robot = source.joints(count, named), source.robot
-    if robot is not None:
-        motors = motors_of(robot)
-        if len(motors) != count:
-            raise source.wrong(
-                pose,
-                f"{pose} has {count} joints, and robot {robot.name!r} has {len(motors)} motors; "
-                "choose the robot whose motors it counts",
-            )
-        source.say_motors(pose, sorted(motors), robot)
-        joints = facts.values["joints"]
-    elif joints is not None:
-        facts.values["joints"] = joints
-    else:
-        facts.asks["joints"] = f"the {count} motors of the robot in their order: name the robot"
+    robot = source.robot
+    motors = range(count) if robot is None else sorted(motors_of(robot))
+    if robot is not None and len(motors) != count:
+        raise source.wrong(
+            pose,
+            f"{pose} has {count} joints, and robot {robot.name!r} has {len(motors)} motors; "
+            "choose the robot whose motors it counts",
+        )
+    source.say_motors(pose, motors)
+    joints = facts.values.get("joints")
     source.copy("action.scale", "policy.control.action_scale", moved, "num_actions")
     source.say_clip("policy.normalization.clip_actions")
     part = range(count - moved, count) if moved < count else range(0)
     if joints is not None and part:
         source.say("action.joints", joints[part.start :], "policy.num_actions")
-    terms = [
-        _term(name, [source.number(f"policy.normalization.{k}") for k in keys] or [1.0], part)
-        for name, keys in _BOOSTER_SCALES.items()
-    ]
+    scales = _BOOSTER_SCALES.items()
+    terms = [source.term(*pair, "policy.normalization.", seen=part) for pair in scales]
     size, program = "policy.num_observations", "deploy/utils/policy.py lays out"
     source.say_terms(terms, size, 11 + 3 * moved, f"{program} for {moved} actions")
     facts.say("command", {"slew": _SLEW}, _PROGRAM)
-    frequency = source.number("policy.gait_frequency")
-    if not frequency > 0.0:
-        text = f"policy.gait_frequency is {frequency:g}; give the steps in [Hz], above 0"
-        raise source.wrong("policy.gait_frequency", text)
+    frequency = source.value(RATE, "policy.gait_frequency")
     phase = {
         "period": 1.0 / frequency,
         "offsets": [0.0],
@@ -160,11 +137,8 @@ def unitree_rl_gym_facts(source: Source) -> Facts:
     source.copy("action.scale", "action_scale", count, "num_actions")
     source.say("action.feedback", "raw", "action_scale")
     seen = range(count) if "joints" in facts.values["action"] else range(0)
-    terms = []
-    for i, (name, key) in enumerate(_UNITREE_SCALES.items()):
-        terms.append(
-            _term(name, source.numbers(key, 3 if name == "command" else 1) if key else [1.0], seen)
-        )
+    terms = [source.term(*pair, seen=seen) for pair in _UNITREE_SCALES.items()]
+    for i, key in enumerate(_UNITREE_SCALES.values()):
         if (line := source.line(key)) is not None:
             facts.lines[("observation", "terms", i)] = line
     program = f"deploy_mujoco.py and deploy_real.py lay out for {count} actions"
@@ -183,20 +157,12 @@ def _motors(source: Source, count: int) -> list[int]:
     """Note what the program of the real robot says; return the motors that it holds."""
     facts, document = source.facts, source.document
     source.say("period", source.number("control_dt"), "control_dt")
-    legs = source.places(_LEGS)
+    legs = source.places(_LEGS, count=count, of="num_actions")
     rest = source.places(_REST) if document.get(_REST) else []
-    both = sorted({*legs} & {*rest})
-    if len(legs) != count or both:
-        what = f"motor {both[0]} stands in both" if both else f"{len(legs)} for num_actions {count}"
-        raise source.wrong(_LEGS, f"{_LEGS} and {_REST}: {what}; name each motor once")
-    order = legs + rest
-    what = f"{_LEGS} and {_REST} have {len(order)} motors; name their joints, in this order"
-    if source.robot is not None:
-        source.say_motors(_LEGS, order, source.robot)
-    elif (joints := source.joints(len(order), what)) is not None:
-        facts.values["joints"] = joints
-    else:
-        facts.asks["joints"] = f"motors {', '.join(map(str, order))} of the robot: name the robot"
+    if both := {*legs} & {*rest}:
+        text = f"motor {min(both)} stands in both; name each motor once"
+        raise source.wrong(_LEGS, f"{_LEGS} and {_REST}: {text}")
+    source.say_motors(_LEGS, legs + rest)
     if rest and "joints" in facts.values:
         source.say("action.joints", facts.values["joints"][:count], _LEGS)
     if document.get("max_cmd") is not None:

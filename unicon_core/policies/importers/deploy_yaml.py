@@ -13,16 +13,18 @@ one is fed back (`envs/mdp/actions/joint_actions.h`). A term is clipped, then sc
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from unicon_base import AnyDict, AnyMapping, PolicyError, alternatives
 from unicon_base.located_yaml import Where, read_yaml
+from unicon_base.schema.marks import NotEmpty, Write
 from unicon_core.policies.facts import GAINS, Facts, dig, term_state
 from unicon_core.policies.hints import Pair
-from unicon_core.policies.importers.source import Source, clip_before_scale, scaled_term
+from unicon_core.policies.importers.source import Source, clip_before_scale
 
+_GROUP = Annotated[AnyMapping, NotEmpty, Write("a mapping of terms")]
 _FLAGS = ("scale_first", "use_gym_history")
 _KEYS = ("params", "scale", "clip", "history_length")
 _USUAL = ("base_ang_vel", "projected_gravity", "velocity_commands", "joint_pos_rel",
@@ -47,16 +49,8 @@ def deploy_yaml_facts(source: Source) -> Facts:
 
 def _joints(source: Source) -> int:
     facts, order = source.facts, source.places("joint_ids_map")
-    if not order:
-        raise source.wrong("joint_ids_map", "joint_ids_map is empty; give motor numbers")
     source.say("period", source.document["step_dt"], "step_dt")
-    if source.robot is not None:
-        source.say_motors("joint_ids_map", order, source.robot)
-    else:
-        facts.notes.append(
-            "deploy.yaml: joints are numbers of the robot's motors (joint_ids_map); "
-            "name the robot and they are known"
-        )
+    source.say_motors("joint_ids_map", order)
     for fact in GAINS:
         values = source.numbers(fact)
         if max(order) < len(values):
@@ -71,28 +65,23 @@ def _joints(source: Source) -> int:
 
 
 def _action(source: Source, count: int) -> None:
-    actions = source.need("actions")
-    if not isinstance(actions, Mapping) or list(actions) != ["JointPositionAction"]:
-        names = ", ".join(actions) if isinstance(actions, Mapping) else repr(actions)
-        text = f"actions are {names}; only one JointPositionAction (joint position targets) runs"
-        raise source.wrong("actions", text)
-    where, action = "actions.JointPositionAction", actions["JointPositionAction"]
-    if not isinstance(action, Mapping):
-        raise source.wrong(where, f"JointPositionAction is {action!r}; give scale and offset")
-    size = count
+    actions, where = source.value(AnyMapping, "actions"), "actions.JointPositionAction"
+    if list(actions) != ["JointPositionAction"]:
+        text = f"actions are {', '.join(map(str, actions))}; only one JointPositionAction"
+        raise source.wrong("actions", f"{text} (joint position targets) runs")
+    action, size = source.value(AnyMapping, where), count
     if isinstance(action.get("joint_ids"), list):
-        ids, joints = source.places(f"{where}.joint_ids", count), source.facts.values.get("joints")
+        ids = source.places(f"{where}.joint_ids", count)
         size = len(ids)
-        if joints is not None and ids != list(range(count)):
+        if (joints := source.facts.values.get("joints")) is not None:
             source.say("action.joints", [joints[i] for i in ids], f"{where}.joint_ids")
-    for key in ("scale", "offset"):
-        values = source.numbers(f"{where}.{key}")
-        source.copy(f"action.{key}", f"{where}.{key}", 0 if len(values) == 1 else size)
+    scale, offset = (source.numbers(f"{where}.{key}") for key in ("scale", "offset"))
+    for key, values in (("scale", scale), ("offset", offset)):
+        source.copy(f"action.{key}", f"{where}.{key}", size if len(values) > 1 else 0)
     if action.get("clip") is not None:
         # Unitree clips the target, we clip the action: bring the bounds to the other side.
         clip = f"{where}.clip"
         pairs = source.value(list[Pair], clip)
-        scale, offset = (source.numbers(f"{where}.{key}") for key in ("scale", "offset"))
         if not all(scale) or len({len(pairs), len(scale), len(offset)} - {1}) > 1:
             raise source.wrong(clip, f"clip is {action['clip']!r}; give [lowest, highest] each")
         bounds = np.sort((np.array(pairs) - np.c_[offset]) / np.c_[scale], axis=1)
@@ -102,9 +91,7 @@ def _action(source: Source, count: int) -> None:
 
 def _observation(source: Source) -> None:
     where: Where = ("observations",)
-    group = source.need("observations")
-    if not isinstance(group, Mapping) or not group:
-        raise source.wrong(where, f"observations are {group!r}; give the terms")
+    group = source.value(_GROUP, where)
     entries = [key for key in group if key not in _FLAGS]
     if entries and not any(_is_term(group[key]) for key in entries):
         if len(entries) > 1:
@@ -113,10 +100,9 @@ def _observation(source: Source) -> None:
                 f"observations has the groups {', '.join(entries)}; only one can be imported, "
                 "write a policy.yaml with 'inputs' for the others",
             )
-        where, group = (*where, entries[0]), group[entries[0]]
+        where = (*where, entries[0])
         source.say("inputs.observation", entries[0], where)
-        if not isinstance(group, Mapping):
-            raise source.wrong(where, f"observations.{where[-1]} is {group!r}; no term")
+        group = source.value(_GROUP, where)
     terms: list[AnyDict] = []
     for name, value in group.items():
         if name in _FLAGS:
@@ -163,18 +149,18 @@ def _is_term(value: Any) -> bool:
 
 
 _PHASE = "RoboMimic_Deploy/phase"
-# A term's name -> the key of its scale and its number of elements; 0: all joints.
+# A term's name -> the key of its scale ("1": none), its number of elements, and that of each joint.
 _rl_TERMS = {
-    "lin_vel": ("lin_vel_scale", 3),
-    "ang_vel": ("ang_vel_scale", 3),
-    "gravity_vec": ("", 3),
-    "commands": ("commands_scale", 3),
-    "dof_pos": ("dof_pos_scale", 0),
-    "dof_vel": ("dof_vel_scale", 0),
-    "actions": ("", 0),
-    "whole_body_tracking/motion_command": ("", 0),
-    "whole_body_tracking/motion_anchor_ori_b": ("", 6),
-    _PHASE: ("", 1),
+    "lin_vel": ("lin_vel_scale", 3, 0),
+    "ang_vel": ("ang_vel_scale", 3, 0),
+    "gravity_vec": ("1", 3, 0),
+    "commands": ("commands_scale", 3, 0),
+    "dof_pos": ("dof_pos_scale", 0, 1),
+    "dof_vel": ("dof_vel_scale", 0, 1),
+    "actions": ("1", 0, 1),
+    "whole_body_tracking/motion_command": ("1", 0, 2),
+    "whole_body_tracking/motion_anchor_ori_b": ("1", 6, 0),
+    _PHASE: ("1", 1, 0),
 }
 _rl_STATES = {"gravity_vec": "projected_gravity", _PHASE: "motion_phase"}  # by no usual name
 _rl_GAINS = {"stiffness": "rl_kp", "damping": "rl_kd", "default_joint_pos": "default_dof_pos"}
@@ -225,11 +211,8 @@ def _find_base(source: Source) -> None:
     base = read_yaml(found[0], PolicyError, foreign=True)
     keys = list(base.value) if isinstance(base.value, Mapping) else []
     if keys != [robot] or not isinstance(base.value[robot], Mapping):
-        other = repr(keys[0]) if len(keys) == 1 else "no robot"
-        raise base.error(
-            (), f"base.yaml is of {other}, and {path.name} is of {place!r}; put that of "
-            f"{robot!r} there"
-        )  # fmt: skip
+        text = f"base.yaml is of {', '.join(map(repr, keys)) or 'no robot'}, and {path.name} is of"
+        raise base.error((), f"{text} {place!r}; put that of {robot!r} there")
     source.files.append((base, (robot,)))
     source.document = {**base.value[robot], **said}  # config.yaml wins
 
@@ -237,14 +220,9 @@ def _find_base(source: Source) -> None:
 def _rl_joints(source: Source, count: int) -> None:
     facts = source.facts
     source.say_period("dt", "decimation")
-    mapping = source.places("joint_mapping", count)
-    if len(mapping) != count:
-        text = f"has {len(mapping)} numbers for num_of_dofs {count}; name each joint once"
-        raise source.wrong("joint_mapping", f"joint_mapping {text}")
-    names = source.document.get("joint_names")
-    if names is not None:
-        if not isinstance(names, list) or len(names) != count:
-            raise source.wrong("joint_names", f"joint_names is {names!r}; give {count} names")
+    mapping = source.places("joint_mapping", count, count, "num_of_dofs")
+    if source.document.get("joint_names") is not None:
+        names = source.numbers("joint_names", count, "num_of_dofs", list[str])
         source.say("joints", [names[i] for i in mapping], "joint_mapping")
     for name in ("period", "joints") if len(source.files) == 1 else ():
         if name not in facts.values:
@@ -265,39 +243,33 @@ def _rl_action(source: Source, count: int, wheels: list[int]) -> None:
 
 
 def _rl_observation(source: Source, count: int, wheels: list[int]) -> None:
-    facts, document, key = source.facts, source.document, "observations_history"
-    names = source.need("observations")
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise source.wrong("observations", f"observations is {names!r}; give names of terms")
+    document, key = source.document, "observations_history"
+    names = source.value(list[str], "observations")
     ages = source.places(key) if document.get(key) else [0]
     rising = list(range(len(ages)))
     if ages not in (rising, rising[::-1]):
         text = f"{key} is {ages}; only whole histories can be run: {rising} or {rising[::-1]}"
         raise source.wrong(key, text)
     bound = None if document.get("clip_obs") is None else source.number("clip_obs")
-    terms, width = [], 0
-    for i, name in enumerate(names):
-        terms.append({**_rl_term(source, name, bound, count, wheels), "history": len(ages)})
-        facts.lines[("observation", "terms", i)] = source.line("observations") or 1
-        many = 2 if name.endswith("motion_command") else 1
-        width += many * ((_rl_TERMS[name][1] if name in _rl_TERMS else 0) or count)
+    terms = [_rl_term(source, name, bound, count, wheels) for name in names]
     laid_out = document.get("num_observations")
-    if laid_out is not None and laid_out != width and {*names} <= {*_rl_TERMS}:
-        raise source.wrong(
-            "num_observations",
-            f"num_observations is {laid_out!r}, and the terms {', '.join(names)} have {width} "
-            "values; correct one of them",
-        )
+    if laid_out is not None and {*names} <= {*_rl_TERMS}:
+        sizes = (_rl_TERMS[name] for name in names)
+        if laid_out != (width := sum(size + each * count for _, size, each in sizes)):
+            raise source.wrong(
+                "num_observations",
+                f"num_observations is {laid_out!r}, and the terms {', '.join(names)} have {width} "
+                "values; correct one of them",
+            )
     priority = "observations_history_priority"
-    time = document.get(priority, "time")
-    if time not in ("time", "term"):
-        raise source.wrong(priority, f"{priority} is {time!r}; known: time, term")
-    facts.values["observation"] = {
-        "layout": "frame_major" if time == "time" else "term_major",
+    by_time = source.value(Literal["time", "term"], priority) if priority in document else "time"
+    layout = {
+        "layout": "frame_major" if by_time == "time" else "term_major",
         "newest": "first" if ages == rising and len(ages) > 1 else "last",
         "start": "zeros",
-        "terms": terms,
+        "terms": [{**term, "history": len(ages)} for term in terms],
     }
+    source.say("observation", layout, "observations")
 
 
 def _rl_term(
@@ -309,12 +281,11 @@ def _rl_term(
             f"{source.path.name}: no state is known for term {name!r}; {known}"
         )
         return {"name": name}
-    key = _rl_TERMS[name][0]
-    scale = source.numbers(key, 3 if name == "commands" else 1) if key else [1.0]
-    if name == "dof_pos" and wheels:
-        scale = [0.0 if i in wheels else scale[0] for i in range(count)]
     usual = _rl_STATES.get(name) or name.rpartition("/")[2]
-    return {**scaled_term(usual, scale, bound), "name": name}
+    term = source.term(usual, _rl_TERMS[name][0], bound=bound)
+    if name == "dof_pos" and wheels:
+        term["scale"] = [0.0 if i in wheels else term["scale"] for i in range(count)]
+    return {**term, "name": name}
 
 
 def _rl_motion(source: Source, count: int) -> None:
@@ -326,10 +297,7 @@ def _rl_motion(source: Source, count: int) -> None:
         source.facts.asks["motion"] = f"{{duration: of the motion in [s]{start}}}"
     if file is None or not isinstance(names, list) or not period:
         return
-    waist = source.places("waist_joint_indices", count)
-    if len(waist) != 3:
-        text = f"waist_joint_indices is {waist}; give the numbers of yaw, roll and pitch"
-        raise source.wrong("waist_joint_indices", text)
+    waist = source.places("waist_joint_indices", count, 3, "yaw, roll and pitch")
     motion = {
         "anchor_body": "torso_link",
         "file": file,

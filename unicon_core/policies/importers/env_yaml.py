@@ -32,11 +32,24 @@ from typing import Annotated, Any
 from unicon_base import AnyDict, AnyMapping, alternatives
 from unicon_base.located_yaml import Where
 from unicon_base.schema.marks import NotEmpty
-from unicon_core.policies.facts import GAINS, TO_GIVE, Facts, dig, open_joints, term_state
-from unicon_core.policies.importers.source import Source, matches, values_by_pattern
+from unicon_core.policies.facts import (
+    GAINS,
+    TO_GIVE,
+    Facts,
+    dig,
+    open_joints,
+    term_state,
+    value_of,
+)
+from unicon_core.policies.hints import listed
+from unicon_core.policies.importers.source import OF_JOINTS, Source, matches, values_by_pattern
 
 _GROUPS = ("policy", "actor")
-_OF_JOINTS = ("joint_pos", "joint_vel")
+_LEGGED_GYM = {
+    "default_joint_pos": "init_state.default_joint_angles",
+    "stiffness": "control.stiffness",
+    "damping": "control.damping",
+}
 _SCAN, _SCAN_OFFSET = "height_scan", 0.5  # of the function, in [m], unless it says another
 
 
@@ -50,24 +63,21 @@ def legged_gym_facts(source: Source) -> Facts:
     facts.source, facts.by_pattern = "legged_gym configuration", True
     source.say_period("sim.dt", "control.decimation")
     facts.say("action.feedback", "clipped")
-    if source.line("control.action_scale") is not None:
-        source.say("action.scale", dig(document, "control", "action_scale"), "control.action_scale")
-    bound = dig(document, "normalization", "clip_actions")
-    if isinstance(bound, int | float):
-        facts.say("action.clip", [-bound, bound])
-    scales = dig(document, "normalization", "obs_scales")
+    if (scale := value_of(document, "control.action_scale")) is not None:
+        source.say("action.scale", scale, "control.action_scale")
+    if value_of(document, "normalization.clip_actions") is not None:
+        source.say_clip("normalization.clip_actions")
+    scales = value_of(document, "normalization.obs_scales")
     if isinstance(scales, Mapping):
-        listed = ", ".join(f"{name} {value}" for name, value in scales.items())
-        facts.notes.append(f"{source.path.name}: scales for the terms to give: {listed}")
+        text = ", ".join(f"{name} {value}" for name, value in scales.items())
+        facts.notes.append(f"{source.path.name}: scales for the terms to give: {text}")
     if (joints := source.joints()) is not None:
         facts.say("joints", joints)
-        pose = values_by_pattern(document["init_state"]["default_joint_angles"], joints)
-        if pose is not None:
-            facts.say("default_joint_pos", pose)
-        for key in GAINS:
-            gains = values_by_pattern(dig(document, "control", key), joints, whole=False)
-            if gains is not None:
-                facts.say(key, gains, f"control.{key}")
+        for fact, place in _LEGGED_GYM.items():
+            whole = fact not in GAINS
+            values = values_by_pattern(value_of(document, place), joints, whole=whole)
+            if values is not None:
+                source.say(fact, values, place)
     source.say_ranges("commands.ranges")
     facts.say("observation.start", "zeros")
     return facts
@@ -100,10 +110,10 @@ def env_yaml_facts(source: Source) -> Facts:
     return facts
 
 
-def _names(chosen: Any) -> list[str]:
-    """The names or patterns in `joint_names`."""
-    names = dig(chosen, "joint_names")
-    return [] if names is None else list(map(str, names if isinstance(names, list) else [names]))
+def _names(chosen: Any, key: str = "joint_names") -> list[str]:
+    """The names or patterns under a key."""
+    names = dig(chosen, key)
+    return [str(name) for name in listed(names) if name is not None]
 
 
 def _matching(patterns: Sequence[object], joints: Sequence[str]) -> list[str]:
@@ -127,10 +137,9 @@ def _stated_joints(
     for name, term in terms.items() if stated is not None else ():
         chosen = dig(term, "params", "asset_cfg")
         state = term_state(_function(term)).get("state", chosen and "joint_pos")
-        if state not in _OF_JOINTS:
+        if state not in OF_JOINTS:
             continue
-        own = _stated_order(chosen)
-        if own is None:
+        if (own := _stated_order(chosen)) is None:
             facts.asks["joints"] = f"term {name!r} has them in the articulation's order"
             return None
         stated = list(dict.fromkeys([*(stated or ()), *own]))
@@ -143,19 +152,18 @@ def _robot(facts: Facts, document: AnyMapping, joints: list[str]) -> None:
     if pose is not None:
         facts.values["default_joint_pos"] = pose
     actuators = dig(document, "scene", "robot", "actuators")
+    driven = {
+        joint: actuator
+        for actuator in (actuators.values() if isinstance(actuators, Mapping) else ())
+        for joint in _matching(_names(actuator, "joint_names_expr"), joints)
+    }
+    bare = ", ".join(joint for joint in joints if joint not in driven)
     for key in GAINS:
-        found: dict[str, float] = {}
-        bare = list(joints)
-        for actuator in actuators.values() if isinstance(actuators, Mapping) else ():
-            patterns = dig(actuator, "joint_names_expr") or []
-            for joint in _matching(patterns if isinstance(patterns, list) else [patterns], joints):
-                bare = [other for other in bare if other != joint]
-                gain = values_by_pattern(dig(actuator, key), [joint])
-                found |= {} if gain is None else {joint: gain[0]}
-        if found:
-            facts.values[key] = [found.get(joint, TO_GIVE) for joint in joints]
+        gains = [values_by_pattern(dig(driven.get(name), key), [name]) for name in joints]
+        if any(gains):
+            facts.values[key] = [gain[0] if gain else TO_GIVE for gain in gains]
             if bare:
-                facts.asks[key] = f"no actuator's joint_names_expr matches {', '.join(bare)}"
+                facts.asks[key] = f"no actuator's joint_names_expr matches {bare}"
 
 
 def suggest_joints(facts: Facts, widths: Collection[int | str]) -> None:
@@ -178,8 +186,8 @@ def suggest_joints(facts: Facts, widths: Collection[int | str]) -> None:
 
 def _action_term(source: Source) -> tuple[str, AnyMapping]:
     actions = source.document.get("actions")
-    listed = actions.items() if isinstance(actions, Mapping) else ()
-    terms = {name: term for name, term in listed if isinstance(term, Mapping)}
+    pairs = actions.items() if isinstance(actions, Mapping) else ()
+    terms = {name: term for name, term in pairs if isinstance(term, Mapping)}
     if len(terms) != 1:
         raise source.wrong(
             "actions",
@@ -195,22 +203,21 @@ def _action_term(source: Source) -> tuple[str, AnyMapping]:
 
 
 def _action(source: Source, name: str, term: AnyMapping, joints: list[str] | None) -> None:
-    facts, action = source.facts, {"feedback": "raw"}
+    facts = source.facts
     moved = (joints and _chosen(source, ("actions", name), term, joints)) or joints
     if moved != joints:
         facts.say("action.joints", moved)
-    for key, default, wanted in (
-        ("scale", 1.0, True),
-        ("offset", 0.0, not term.get("use_default_offset", True)),
-    ):
-        value = term.get(key, None if key == "scale" else default)
+    facts.say("action.feedback", "raw")
+    defaults: dict[str, float | None] = {"scale": None, "offset": 0.0}
+    if term.get("use_default_offset", True):
+        del defaults["offset"]
+    for key, default in defaults.items():
+        value = term.get(key, default)
         if not isinstance(value, int | float):
-            many = moved or key == "offset"
-            value = values_by_pattern(value, moved or [], default=default) if many else None
-        if wanted and (value is not None or key == "offset"):
-            facts.say(f"action.{key}", value)
-        facts.keys[("action", key)] = f"actions.{name}.{key}"
-    facts.values["action"] = {**action, **facts.values.get("action", {})}
+            default = 1.0 if default is None else default
+            value = values_by_pattern(value, moved, default=default) if moved else None
+        if value is not None:
+            source.say(f"action.{key}", value, ("actions", name, key))
     if term.get("clip") is not None:
         facts.notes.append(f"env.yaml: actions.{name}.clip, bounds of its targets, is not imported")
 
@@ -222,14 +229,15 @@ def _chosen(source: Source, where: Where, chosen: Any, joints: list[str]) -> lis
         PolicyError: one that it names is not among the joints.
     """
     names, what = _names(chosen), repr(where[-1])
+    found: list[str] = []
     for name in names:
-        if not _matching([name], joints):
+        if not (some := _matching([name], joints)):
             text = f"{name!r}, which is none of the joints; {alternatives(name, joints)}"
             raise source.wrong(where, f"{what}: joint_names has {text}")
-    if names and dig(chosen, "preserve_order") is True:
-        return list(dict.fromkeys(joint for name in names for joint in _matching([name], joints)))
+        found += some
     if names:
-        return _matching(names, joints)
+        kept = dig(chosen, "preserve_order") is True
+        return list(dict.fromkeys(found if kept else _matching(names, joints)))
     ids = source.ids(where, dig(chosen, "joint_ids"))
     if ids is not None and not all(0 <= i < len(joints) for i in ids):
         text = f"joint_ids is {ids}, and there are {len(joints)} joints"
@@ -266,7 +274,7 @@ def _term(source: Source, where: Where, value: AnyMapping, joints: list[str] | N
             "scale and clip"
         )
         return {"name": key}
-    if joints is not None and term.get("state", "joint_pos") in _OF_JOINTS:
+    if joints is not None and term.get("state", "joint_pos") in OF_JOINTS:
         named = _chosen(source, where, dig(value, "params", "asset_cfg"), joints)
         if named not in (None, joints):
             term["index"] = [joints.index(joint) for joint in named or ()]
@@ -301,8 +309,8 @@ def _unread(document: AnyMapping, term: AnyMapping, function: str) -> str:
     A function without a known state has parameters that only a given state can mind.
     """
     if modifiers := term.get("modifiers"):
-        listed = modifiers if isinstance(modifiers, list) else [modifiers]
-        return f"modifiers ({', '.join(str(dig(each, 'func') or each) for each in listed)})"
+        names = (str(dig(each, "func") or each) for each in listed(modifiers))
+        return f"modifiers ({', '.join(names)})"
     params = term.get("params") or {}
     if not term_state(function):
         return ""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import ast
 import json
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -99,20 +100,21 @@ def settled(
     values: dict[str, list[str]] = {}
     for key, value in dict.fromkeys(onnx.metadata):
         values.setdefault(key, []).append(value)
-    twice = {key: listed for key, listed in values.items() if len(listed) > 1}
     notes = []
-    for key, (first, second, *_) in twice.items():
-        fact, both = _SAYS.get(key), f"{short_text(first)} and as {short_text(second)}"
+    for key, (first, *others) in values.items():
+        if not others:
+            continue
+        fact, both = _SAYS.get(key), f"{short_text(first)} and as {short_text(others[0])}"
         text = f"metadata key {key!r} stands twice, as {both}"
         if fact is not None and (whole or says(said, fact)):
             notes.append(f"{onnx.path.name}: {text}; {fact} of {where} counts")
             continue
         settle = f", or say {fact} under 'given' or in a policy.yaml beside it" if fact else ""
         raise PolicyError(f"{onnx.path}: {text}; export the policy again with one of them{settle}")
-    kept = [pair for pair in onnx.metadata if pair[0] not in twice]
+    kept = [pair for pair in onnx.metadata if len(values[pair[0]]) == 1]
     for key, written in _NAMES.items():  # by which all vectors are read
         joints = said.get("joints")
-        if key in twice and isinstance(joints, list | tuple):
+        if len(values.get(key, ())) > 1 and isinstance(joints, list | tuple):
             kept.append((key, written([str(name) for name in joints])))
     return replace(onnx, metadata=tuple(kept)), notes
 
@@ -188,10 +190,8 @@ def _read(node: ast.ClassDef, name: str, known: dict[str, _Class]) -> _Class:
                 | ast.AnnAssign(target=ast.Name(id=key), value=ast.expr() as value)
             ):
                 values.pop(key, None)
-                try:
+                with suppress(*_WRONG):  # computed
                     values[key] = ast.literal_eval(value)
-                except _WRONG:  # computed
-                    continue
-                lines[(key,)] = item.lineno
+                    lines[(key,)] = item.lineno
     known[name] = values, lines
     return values, lines

@@ -26,11 +26,13 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 from unicon_base import AnyDict, PolicyError
-from unicon_core.policies.facts import GAINS, Facts, term_state
-from unicon_core.policies.importers.source import RENAMED_RANGES, plural
+from unicon_core.policies.facts import GAINS, Facts, dig, term_state
+from unicon_core.policies.importers.source import OF_JOINTS, RENAMED_RANGES, plural
 from unicon_core.policies.networks.onnx_file import OnnxFile
 
 _VECTORS = {
@@ -40,7 +42,8 @@ _VECTORS = {
     "action.scale": "action_scale",
 }
 _HISTORIES = ("observation_terms_history_length", "observation_history_lengths")
-_ROUNDED = re.compile(r"-?\d+\.\d{3}\Z")
+_ROUNDED = re.compile(r"(\s*-?\d+\.\d{3}\s*(,|$))+")
+_INPUTS = {"observation": "obs", "time_step": "time_step"}  # of a network with its motion
 # Outputs of a BeyondMimic network beside the actions: its reference motion at `time_step`.
 _MOTION_OUTPUTS = (
     "joint_pos", "joint_vel", "body_pos_w", "body_quat_w", "body_lin_vel_w", "body_ang_vel_w",
@@ -62,12 +65,98 @@ _BASE_FIELDS = {
     "lin_vel_b_rt_w_in_b": "base_lin_vel",
     "ang_vel_b_rt_w_in_b": "base_ang_vel",
 }
+# Pattern of an input to the state that it takes.
+_INPUT_STATES = {
+    rf"obj\.{_WORD}\.joints\.(pos|vel)": r"joint_\1",
+    **{
+        rf"(?:obj\.{_WORD}|sensor\.imu)\.{_WORD}\.{name}": state
+        for name, state in _BASE_FIELDS.items()
+    },
+    rf"cmd\.se2_velocity\.{_WORD}": "velocity_command",
+    r"ctx\.step_count": "time_step",
+}
 _OUTPUT = re.compile(rf"(output\.joint_targets\.{_WORD})\.(pos|vel|effort)")
 _MEMORY = re.compile(r"memory\.(.*)\.in")
 
 
-def _begun(onnx: OnnxFile, source: str) -> Facts:
-    return Facts(onnx.path, source, {"onnx": onnx.path.name})
+class _Metadata:
+    """Metadata of a file, and the facts that they say.
+
+    Args:
+        onnx: the file.
+        source: its format.
+    """
+
+    def __init__(self, onnx: OnnxFile, source: str) -> None:
+        self.path, self.texts = onnx.path, onnx.unique_metadata()
+        self.facts = Facts(onnx.path, source, {"onnx": onnx.path.name})
+
+    def fail(self, key: str, message: str) -> PolicyError:
+        return PolicyError(f"{self.path}: metadata {key} {message}; export the policy again")
+
+    def decoded(self) -> AnyDict:
+        """Return every value decoded; a value that is not JSON stays a text."""
+        found: AnyDict = {}
+        for key, text in self.texts.items():
+            found[key] = text
+            with suppress(ValueError):
+                found[key] = json.loads(text)
+        return found
+
+    def say_joints(self, key: str, joints: Any, places: Mapping[str, str], read: Any) -> None:
+        """Note the joints, and what a list has of each.
+
+        Args:
+            key: where they stand.
+            joints: what stands there.
+            places: fact to its key, which may be missing.
+            read: returns the value of a key.
+        """
+        if not isinstance(joints, list):
+            raise self.fail(key, f"is {joints!r}, no list")
+        self.facts.say("joints", joints, key)
+        for fact, place in places.items():
+            value = read(place) if place in self.texts else []
+            size = len(value) if isinstance(value, list) else -1
+            if size not in (0, len(joints), 1 if fact == "action.scale" else 0):
+                found = f"has {size} values" if size > 0 else f"is {value!r}"
+                raise self.fail(place, f"{found} for {len(joints)} {key}")
+            if value:
+                self.facts.say(fact, plural(value), place)
+
+    def words(self, key: str) -> list[str]:
+        return [word.strip() for word in self.texts[key].split(",") if word.strip()]
+
+    def numbers(self, key: str, text: str | None = None, between: str = ",") -> list[float]:
+        """Return the numbers in a text, by default all of a key."""
+        text = text or self.texts[key].strip().removeprefix("[").removesuffix("]")
+        found = []
+        for word in filter(None, map(str.strip, text.split(between))):
+            try:
+                found.append(float({"True": "1", "False": "0"}.get(word, word)))
+            except ValueError:
+                raise self.fail(key, f"has {word!r} where a number belongs") from None
+        return found
+
+    def entries(self, key: str, names: list[str], size: int = 0) -> list[list[float]]:
+        """Return the numbers of each term, which `;` parts; `None` has none; [] without the key.
+
+        Args:
+            key: where they stand.
+            names: of the terms.
+            size: how many numbers a term has; 0 for any.
+        """
+        texts = self.texts[key].split(",") if key in self.texts else []
+        if len(texts) not in (0, len(names)):
+            text = f"has {len(texts)} entries for {len(names)} observation_names"
+            raise self.fail(key, text)
+        none = ("", "None", "none", "null") if size != 1 else ()
+        found = [[] if t.strip() in none else self.numbers(key, t, ";") for t in texts]
+        for numbers in found:
+            if numbers and len(numbers) != (size or len(numbers)):
+                wanted = "lowest;highest" if size == 2 else "one number"
+                raise self.fail(key, f"has {numbers}; give {wanted}")
+        return found
 
 
 def _names(tensors: Any) -> list[str]:
@@ -81,39 +170,27 @@ def mjlab_facts(onnx: OnnxFile) -> Facts:
         PolicyError: a key twice, no number where one belongs, or lists of different lengths.
     """
     inputs, outputs = _names(onnx.inputs), _names(onnx.outputs)
-    reader = _Lists(onnx)
-    metadata = reader.metadata
-    anchor = metadata.get("anchor_body_name")
+    reader = _Metadata(onnx, "mjlab metadata")
+    facts, texts = reader.facts, reader.texts
+    anchor = texts.get("anchor_body_name")
     motion = anchor is not None or "time_step" in inputs
-    facts = _begun(onnx, "BeyondMimic metadata" if motion else "mjlab metadata")
-    joints = reader.words("joint_names")
-    facts.say("joints", joints)
-    for fact, key in _VECTORS.items():
-        numbers = reader.numbers(key) if key in metadata else []
-        if len(numbers) not in (0, len(joints), 1 if key == "action_scale" else 0):
-            raise reader.fail(key, f"has {len(numbers)} numbers for {len(joints)} joint_names")
-        if numbers:
-            facts.say(fact, plural(numbers), key)
-    if "observation_names" in metadata:
+    if motion:
+        facts.source = "BeyondMimic metadata"
+    reader.say_joints("joint_names", reader.words("joint_names"), _VECTORS, reader.numbers)
+    if "observation_names" in texts:
         terms = _terms(reader, motion)
-        if "observation_terms_scale" not in metadata:
+        if "observation_terms_scale" not in texts:
             facts.asks["observation.scale"] = ""
         layout = {"layout": "term_major", "newest": "last", "terms": terms}
         facts.values["observation"] = layout
-    if motion and {"obs", "time_step"} <= {*inputs} and "actions" in outputs:
-        facts.values["inputs"] = {"observation": "obs", "time_step": "time_step"}
+    if motion and {*_INPUTS.values()} <= {*inputs} and "actions" in outputs:
         reference = {f"motion_{name}": name for name in _MOTION_OUTPUTS if name in outputs}
-        facts.values["outputs"] = {"action": "actions", **reference}
+        facts.values |= {"inputs": dict(_INPUTS), "outputs": {"action": "actions", **reference}}
         if anchor is not None and "motion_joint_vel" in reference:
             facts.say("motion.anchor_body", anchor.strip())
-            if "body_names" in metadata:
+            if "body_names" in texts:
                 facts.say("motion.bodies", reader.words("body_names"))
-    rounded = [
-        key
-        for key in metadata
-        if key in _VECTORS.values()
-        and all(map(_ROUNDED.match, map(str.strip, metadata[key].split(","))))
-    ]
+    rounded = [key for key in _VECTORS.values() if _ROUNDED.fullmatch(texts.get(key, ""))]
     if rounded:
         facts.tolerance = (1e-6, 5.1e-4)
         facts.notes.append(
@@ -123,14 +200,14 @@ def mjlab_facts(onnx: OnnxFile) -> Facts:
     return facts
 
 
-def _terms(reader: _Lists, motion: bool) -> list[AnyDict]:
+def _terms(reader: _Metadata, motion: bool) -> list[AnyDict]:
     names = reader.words("observation_names")
-    motion = motion or "motion" in reader.metadata.get("command_names", "")
     terms = [{"name": name, **term_state(name)} for name in names]
-    for term in terms:
-        if term["name"] == "command" and motion:
-            term["state"] = "motion_command"
-    history = next((key for key in _HISTORIES if key in reader.metadata), "")
+    if motion or "motion" in reader.texts.get("command_names", ""):
+        for term in terms:
+            if term["name"] == "command":
+                term["state"] = "motion_command"
+    history = next((key for key in _HISTORIES if key in reader.texts), "")
     for term, (length,) in zip(terms, reader.entries(history, names, 1)):
         if length != int(length) or length < 0:
             raise reader.fail(history, f"has {length:g}; give whole numbers")
@@ -148,96 +225,29 @@ def _terms(reader: _Lists, motion: bool) -> list[AnyDict]:
     return terms
 
 
-class _Lists:
-    """Metadata as lists of words and numbers."""
-
-    def __init__(self, onnx: OnnxFile) -> None:
-        self.path, self.metadata = onnx.path, onnx.unique_metadata()
-
-    def fail(self, key: str, message: str) -> PolicyError:
-        return PolicyError(f"{self.path}: metadata {key} {message}; export the policy again")
-
-    def words(self, key: str) -> list[str]:
-        return [word.strip() for word in self.metadata[key].split(",") if word.strip()]
-
-    def numbers(self, key: str, text: str | None = None, between: str = ",") -> list[float]:
-        """Return the numbers in a text, by default all of a key."""
-        text = text or self.metadata[key].strip().removeprefix("[").removesuffix("]")
-        found = []
-        for word in filter(None, map(str.strip, text.split(between))):
-            try:
-                found.append(float({"True": "1", "False": "0"}.get(word, word)))
-            except ValueError:
-                raise self.fail(key, f"has {word!r} where a number belongs") from None
-        return found
-
-    def entries(self, key: str, names: list[str], size: int = 0) -> list[list[float]]:
-        """Return the numbers of each term, which `;` parts; `None` has none; [] without the key.
-
-        Args:
-            key: where they stand.
-            names: of the terms.
-            size: how many numbers a term has; 0 for any.
-        """
-        texts = self.metadata[key].split(",") if key in self.metadata else []
-        if len(texts) not in (0, len(names)):
-            text = f"has {len(texts)} entries for {len(names)} observation_names"
-            raise self.fail(key, text)
-        none = ("", "None", "none", "null") if size != 1 else ()
-        found = [[] if t.strip() in none else self.numbers(key, t, ";") for t in texts]
-        for numbers in found:
-            if numbers and len(numbers) != (size or len(numbers)):
-                wanted = "lowest;highest" if size == 2 else "one number"
-                raise self.fail(key, f"has {numbers}; give {wanted}")
-        return found
-
-
-def _json(onnx: OnnxFile) -> AnyDict:
-    """Return the metadata with every value decoded; a value that is not JSON stays a text."""
-    result: AnyDict = {}
-    for key, text in onnx.unique_metadata().items():
-        try:
-            result[key] = json.loads(text)
-        except ValueError:
-            result[key] = text
-    return result
-
-
 def holosoma_facts(onnx: OnnxFile) -> Facts:
     """Return what the metadata of holosoma say.
 
     Raises:
         PolicyError: a key twice, or a value of another kind.
     """
-    metadata, facts = _json(onnx), _begun(onnx, "holosoma metadata")
+    reader = _Metadata(onnx, "holosoma metadata")
+    metadata, facts = reader.decoded(), reader.facts
     joints = metadata["dof_names"]
-    if not isinstance(joints, list):
-        text = f"metadata dof_names is {joints!r}, no list; export the policy again"
-        raise PolicyError(f"{onnx.path}: {text}")
-    facts.say("joints", joints, "dof_names")
-    for fact, key in zip(GAINS, ("kp", "kd")):
-        values = metadata.get(key, joints)
-        if not isinstance(values, list) or len(values) != len(joints):
-            found = f"has {len(values)} values" if isinstance(values, list) else f"is {values!r}"
-            raise PolicyError(
-                f"{onnx.path}: metadata {key} {found} for {len(joints)} dof_names; export the "
-                "policy again"
-            )
-        if key in metadata:
-            facts.say(fact, values, key)
+    gains = {"stiffness": "kp", "damping": "kd"}
+    reader.say_joints("dof_names", joints, gains, metadata.__getitem__)
     ranges = metadata.get("command_ranges")
     if isinstance(ranges, dict):
         named = {RENAMED_RANGES.get(name, name): pair for name, pair in ranges.items()}
         facts.values["command_ranges"] = {n: pair for n, pair in named.items() if pair is not None}
     inputs = {tensor.name: tensor for tensor in onnx.inputs}
-    needed = {"obs", "time_step", *_REFERENCE.values()}
+    needed = {*_INPUTS.values(), *_REFERENCE.values()}
     if not needed <= {*inputs, *_names(onnx.outputs)}:
         return facts
     # What the program of whole-body tracking says of a network that gives the reference.
     facts.source = "holosoma whole-body tracking metadata"
-    facts.values["inputs"] = {"observation": "obs", "time_step": "time_step"}
-    facts.values["outputs"] = dict(_REFERENCE)
-    facts.values["action"] = {"clip": [-100.0, 100.0], "feedback": "clipped"}
+    action = {"clip": [-100.0, 100.0], "feedback": "clipped"}
+    facts.values |= {"inputs": dict(_INPUTS), "outputs": {**_REFERENCE}, "action": action}
     if f'name="{_ANCHOR}"' in str(metadata.get("robot_urdf", "")):
         facts.say("motion.anchor_body", _ANCHOR)
     else:
@@ -260,7 +270,8 @@ def exploy_facts(onnx: OnnxFile) -> Facts:
     Raises:
         PolicyError: a key twice, several groups of joint targets, or values of another kind.
     """
-    metadata, facts = _json(onnx), _begun(onnx, "exploy metadata")
+    reader = _Metadata(onnx, "exploy metadata")
+    metadata, facts = reader.decoded(), reader.facts
     rate = metadata.get("update_rate")
     if isinstance(rate, int | float) and rate > 0:
         facts.say("period", 1.0 / rate, "update_rate")
@@ -273,12 +284,9 @@ def exploy_facts(onnx: OnnxFile) -> Facts:
             f"({', '.join(groups) or 'none'}); only one 'output.joint_targets.NAME.pos' can be run"
         )
     (group,) = groups
-    about = metadata.get(group)
-    if not isinstance(about, dict) or not isinstance(about.get("names"), list):
-        raise PolicyError(
-            f"{onnx.path}: metadata {group!r} has no joint names; export the policy again"
-        )
-    moved: list[str] = about["names"]
+    about: AnyDict = metadata.get(group, {})
+    if not isinstance(moved := dig(about, "names"), list):
+        raise reader.fail(repr(group), "has no joint names")
     # The output is the target itself in [rad].
     action = {"scale": 1.0, "offset": 0.0}
     facts.values |= {"joints": moved, "outputs": {"action": f"{group}.pos"}, "action": action}
@@ -297,17 +305,19 @@ def exploy_facts(onnx: OnnxFile) -> Facts:
             inputs[state] = name
         else:
             unknown.append(name)
-        own, parent = metadata.get(name), metadata.get(name.rsplit(".", 1)[0])
-        if state == "velocity_command" and isinstance(own, dict) and own.get("ranges"):
-            facts.values["command_ranges"] = own["ranges"]
-        if state in ("joint_pos", "joint_vel") and isinstance(parent, dict):
+        if state == "velocity_command" and (ranges := dig(metadata.get(name), "ranges")):
+            facts.values["command_ranges"] = ranges
+        parent = metadata.get(name.rpartition(".")[0])
+        if state in OF_JOINTS and isinstance(parent, dict):
             orders[name] = list(parent.get("joint_names") or [])
     if unknown:
         raise PolicyError(
             f"{onnx.path}: no state is known for the inputs {', '.join(unknown)}; write a "
             "policy.yaml with 'inputs: {STATE: INPUT}'"
         )
-    facts.values |= {"inputs": inputs, **({"recurrent": recurrent} if recurrent else {})}
+    facts.values["inputs"] = inputs
+    if recurrent:
+        facts.values["recurrent"] = recurrent
     _take_order(facts, orders, moved)
     return facts
 
@@ -329,16 +339,9 @@ def _take_order(facts: Facts, orders: dict[str, list[str]], moved: list[str]) ->
     for key in GAINS:
         known = facts.values.pop(key, None)
         if isinstance(known, list) and {*order} == {*moved} and len(known) == len(moved):
-            by_name = dict(zip(moved, known))
-            facts.values[key] = [by_name[joint] for joint in order]
+            facts.values[key] = [known[moved.index(joint)] for joint in order]
 
 
 def _state(name: str) -> str | None:
-    if match := re.fullmatch(rf"obj\.{_WORD}\.joints\.(pos|vel)", name):
-        return f"joint_{match[1]}"
-    match = re.fullmatch(rf"(?:obj\.{_WORD}|sensor\.imu)\.{_WORD}\.(\w+)", name)
-    if match and match[1] in _BASE_FIELDS:
-        return _BASE_FIELDS[match[1]]
-    if re.fullmatch(rf"cmd\.se2_velocity\.{_WORD}", name):
-        return "velocity_command"
-    return "time_step" if name == "ctx.step_count" else None
+    found = ((re.fullmatch(pattern, name), state) for pattern, state in _INPUT_STATES.items())
+    return next((match.expand(state) for match, state in found if match), None)

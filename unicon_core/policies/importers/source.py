@@ -8,13 +8,13 @@ from __future__ import annotations
 import math
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
 from unicon_base import AnyDict, AnyMapping, PolicyError, UniconError, alternatives
 from unicon_base.located_yaml import Located, Tagged, Where
-from unicon_base.schema.marks import Checked, Names, Within, positive, twice
+from unicon_base.schema.marks import Checked, Names, NotEmpty, Within, positive, twice
 from unicon_base.schema.read import read_value
 from unicon_core.policies.contract import TORCHSCRIPT
 from unicon_core.policies.facts import Facts, dig, term_state, value_of
@@ -24,6 +24,8 @@ from unicon_core.robots import Robot
 _SUFFIXES = {".onnx": "onnx", **dict.fromkeys(TORCHSCRIPT, "torchscript")}
 RENAMED_RANGES = {"ang_vel_yaw": "ang_vel_z"}
 """A command's name in legged_gym and holosoma to its name in a contract."""
+OF_JOINTS = ("joint_pos", "joint_vel")
+"""States of which a policy may see a part of the joints."""
 _ALL = "slice(None, None, None)"  # as Isaac Lab dumps it
 
 RATE = Annotated[float, positive(unit="Hz")]
@@ -111,18 +113,21 @@ class Source:
             hint, self.need(place), lambda below, text: self.wrong((*where, *below), text), name
         )
 
-    def numbers(self, place: Place, count: int = 0, of: str = "") -> list[float]:
-        """Return a number or a list of numbers as a list.
+    def numbers(
+        self, place: Place, count: int = 0, of: str = "", hint: Any = ClipBound
+    ) -> list[Any]:
+        """Return a value or a list of them as a list.
 
         Args:
             place: where they stand.
             count: how many a list must have; 0 for any.
-            of: key that says so, where one does.
+            of: what counts them, where a key or words do.
+            hint: of the values.
 
         Raises:
             PolicyError: as of `value`; or there are more or less.
         """
-        values = list(listed(self.value(ClipBound, place)))
+        values = list(listed(self.value(hint, place)))
         if count not in (0, len(values)) and isinstance(self.need(place), list):
             of = f" for the {count} of {of}" if of else ""
             text = f"{keys_of(place)[-1]} has {len(values)} values{of}; give {count}"
@@ -137,14 +142,16 @@ class Source:
         """Return a whole number of at least 1; PolicyError as of `value`."""
         return int(self.value(Annotated[int, Within(1)], key))
 
-    def places(self, place: Place, below: float = math.inf) -> list[int]:
+    def places(
+        self, place: Place, below: float = math.inf, count: int = 0, of: str = ""
+    ) -> list[int]:
         """Return numbers of joints or motors below a limit, each once.
 
         Raises:
-            PolicyError: they are missing, no whole numbers, repeated, or too large.
+            PolicyError: as of `numbers`; or they are no whole numbers, repeated, or too large.
         """
-        hint = Annotated[list[Annotated[int, Within(0, below - 1)]], Checked(twice)]
-        return list(self.value(hint, place))
+        each = Annotated[int, Within(0, below - 1)]
+        return self.numbers(place, count, of, Annotated[list[each], NotEmpty, Checked(twice)])
 
     def ids(self, where: Where, joint_ids: Any) -> list[int] | None:
         """Return the places that Isaac Lab's `joint_ids` chooses; None: all.
@@ -193,6 +200,39 @@ class Source:
         if ranges:
             self.say("command_ranges", ranges, place)
 
+    def term(
+        self,
+        name: str,
+        scale: str = "1",
+        under: str = "",
+        *,
+        bound: float | None = None,
+        seen: Iterable[int] = (),
+    ) -> AnyDict:
+        """Return a term that a program lays out, by its usual name; a gait phase by any other.
+
+        Args:
+            name: of the term.
+            scale: keys of its factors, one for all elements or one for each; "1" is itself one.
+            under: what stands before these keys.
+            bound: of what is scaled, or None.
+            seen: the joints that a term of joints sees; empty for all.
+
+        Raises:
+            PolicyError: as of `numbers`.
+        """
+        keys = scale.split()
+        count = 3 if name.startswith("command") and len(keys) == 1 else 1
+        found = ([1.0] if key == "1" else self.numbers(under + key, count) for key in keys)
+        factors = [factor for each in found for factor in each]
+        term = {"name": name, **(term_state(name) or {"state": "gait_phase"})}
+        term["scale"] = plural(factors)
+        if bound is not None:
+            term["clip"] = clip_before_scale([-bound, bound], factors)
+        if (places := list(seen)) and term["state"] in OF_JOINTS:
+            term["index"] = places
+        return term
+
     def say_terms(self, terms: list[AnyDict], key: str, size: int, program: str) -> None:
         """Note the terms that a program lays out; they are asked for where its size is another.
 
@@ -230,12 +270,23 @@ class Source:
             raise PolicyError(f"{self.path}: given joints has {len(names)} names, and {what}")
         return list(names)
 
-    def say_motors(self, key: str, order: Sequence[int], robot: Robot) -> None:
-        """Note the joints of motors in policy order, and the robot that has them.
+    def say_motors(self, key: str, order: Sequence[int]) -> None:
+        """Note the joints of motors in policy order, of the robot or as given; else ask for them.
 
         Raises:
-            PolicyError: the robot has no such motor.
+            PolicyError: the robot has no such motor, or there are more or fewer given joints.
         """
+        robot, facts = self.robot, self.facts
+        if robot is None:
+            counted = f"motors {', '.join(map(str, order))}"
+            joints = self.joints(
+                len(order), f"it counts {counted}; name their joints in this order"
+            )
+            if joints is None:
+                facts.asks["joints"] = f"{counted} of the robot: name the robot"
+            else:
+                facts.values["joints"] = joints
+            return
         motors = motors_of(robot)
         for i in order:
             if i not in motors:
@@ -245,7 +296,7 @@ class Source:
                     f"to number {max(motors)}; choose the robot whose motors it counts",
                 )
         self.say("joints", [motors[i] for i in order], key)
-        self.facts.values["robot"] = robot.name
+        facts.values["robot"] = robot.name
 
     def network(self, key: str, named: Any, base: Path | None = None) -> None:
         """Find the network that the source names: where it says, else beside it by its name.
@@ -260,26 +311,24 @@ class Source:
         Raises:
             PolicyError: no file is named.
         """
-        facts, folder = self.facts, self.path.parent
+        facts, folder = self.facts, self.path.parent.resolve()
         if not isinstance(named, str) or Path(named).suffix not in (*_SUFFIXES, ".mnn"):
             raise self.wrong(key, f"{key} is {named!r}; name a network ({', '.join(_SUFFIXES)})")
-        relative = Path(named)
-        within = [(base or folder).resolve(), folder.resolve()]
+        base, relative = (base or folder).resolve(), Path(named)
         stems = [relative, relative.with_suffix(".onnx")]
-        for stem in stems[::-1] if relative.suffix == ".mnn" else stems:
-            at_base = [] if base is None or stem.is_absolute() else [base / stem]
-            for found in (*at_base, folder / stem.name):
-                target = found.resolve()
-                if not found.is_file() or not any(map(target.is_relative_to, within)):
-                    continue
-                if found.suffix != relative.suffix:
-                    facts.notes.append(
-                        f"{self.path.name}: {key} names {relative.name}, which is not there; "
-                        f"{found.name} is taken"
-                    )
-                self.say(_SUFFIXES.get(found.suffix, "onnx"), found.name, key)
-                facts.network = found
-                return
+        if relative.suffix == ".mnn":
+            stems.reverse()
+        for found in (place for stem in stems for place in (base / stem, folder / stem.name)):
+            if not found.is_file() or not any(map(found.resolve().is_relative_to, (base, folder))):
+                continue
+            if found.suffix != relative.suffix:
+                facts.notes.append(
+                    f"{self.path.name}: {key} names {relative.name}, which is not there; "
+                    f"{found.name} is taken"
+                )
+            self.say(_SUFFIXES.get(found.suffix, "onnx"), found.name, key)
+            facts.network = found
+            return
         facts.asks["onnx"] = (
             f"{key} names {relative.name}, which is not beside {self.path.name}; put it there"
         )
@@ -288,20 +337,6 @@ class Source:
 def plural(values: Sequence[Any]) -> Any:
     """Return values as `policy.yaml` has them: a single one is no list."""
     return values[0] if len(values) == 1 else list(values)
-
-
-def scaled_term(name: str, scale: Sequence[float], bound: float | None = None) -> AnyDict:
-    """Return a term by its usual name, a gait phase by any other.
-
-    Args:
-        name: of the term.
-        scale: factors, shape (d,).
-        bound: of what is scaled, or None.
-    """
-    term = {"name": name, **(term_state(name) or {"state": "gait_phase"}), "scale": plural(scale)}
-    if bound is not None:
-        term["clip"] = clip_before_scale([-bound, bound], scale)
-    return term
 
 
 def clip_before_scale(pair: Sequence[float], scale: Sequence[float]) -> list[list[float]]:
@@ -342,17 +377,12 @@ def values_by_pattern(
         default: value of a joint that no pattern matches.
         whole: whether a pattern must match the whole name (Isaac Lab), or a part (legged_gym).
     """
-    found: list[Any] = []
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        found = [value] * len(joints)
-    elif isinstance(value, list | tuple):
-        found = list(value)
-    elif isinstance(value, Mapping):
+    if isinstance(value, Mapping):
         numbers = [item for item in value.items() if isinstance(item[1], int | float)]
-        for joint in joints:
-            fits = (n for p, n in numbers if (matches(p, joint) if whole else str(p) in joint))
-            found.append(next(fits, default))
-    elif not joints:
+        fits = matches if whole else lambda pattern, joint: str(pattern) in joint
+        value = [next((n for p, n in numbers if fits(p, joint)), default) for joint in joints]
+    elif isinstance(value, int | float) and not isinstance(value, bool):
+        value = [value] * len(joints)
+    if not isinstance(value, list | tuple) or len(value) != len(joints):
         return None
-    right = len(found) == len(joints) and all(isinstance(v, int | float) for v in found)
-    return list(map(float, found)) if right else None
+    return [*map(float, value)] if all(isinstance(v, int | float) for v in value) else None
