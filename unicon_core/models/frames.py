@@ -22,9 +22,15 @@ from unicon_core.robots.robot import Place
 
 Quat: TypeAlias = tuple[float, float, float, float]
 Vector: TypeAlias = tuple[float, float, float]
+Floats: TypeAlias = Sequence[float]
 
 
-def multiply(a: Quat, b: Quat) -> Quat:
+def plus(a: Floats, b: Floats, factor: float = 1.0) -> Vector:
+    """Return the sum of a vector and a multiple of another."""
+    return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
+
+
+def multiply(a: Floats, b: Floats) -> Quat:
     """Return the product of two quaternions wxyz."""
     aw, ax, ay, az = a
     bw, bx, by, bz = b
@@ -36,18 +42,18 @@ def multiply(a: Quat, b: Quat) -> Quat:
     )
 
 
-def conjugate(a: Quat) -> Quat:
+def conjugate(a: Floats) -> Quat:
     """Return the inverse of a unit quaternion wxyz."""
     return a[0], -a[1], -a[2], -a[3]
 
 
-def rotate(a: Quat, v: Vector) -> Vector:
+def rotate(a: Floats, v: Floats) -> Vector:
     """Return a vector turned by a unit quaternion wxyz."""
     _, x, y, z = multiply(multiply(a, (0.0, *v)), conjugate(a))
     return x, y, z
 
 
-def turned(axis: Vector, angle: float) -> Quat:
+def turned(axis: Floats, angle: float) -> Quat:
     """Return the quaternion wxyz of a turn by an angle in [rad] about a unit vector."""
     half = 0.5 * angle
     s = math.sin(half) if math.isfinite(half) else math.nan
@@ -55,13 +61,13 @@ def turned(axis: Vector, angle: float) -> Quat:
     return c, s * axis[0], s * axis[1], s * axis[2]
 
 
-def yaw_of(a: Quat) -> float:
+def yaw_of(a: Floats) -> float:
     """Return the heading of a unit quaternion wxyz in [rad]: the last of roll, pitch and yaw."""
     w, x, y, z = a
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
-def vector_of(a: Quat) -> Vector:
+def vector_of(a: Floats) -> Vector:
     """Return the rotation vector of a unit quaternion wxyz in [rad], the shorter way round."""
     w, x, y, z = a if a[0] >= 0.0 else (-a[0], -a[1], -a[2], -a[3])
     s = math.sqrt(x * x + y * y + z * z)
@@ -69,7 +75,7 @@ def vector_of(a: Quat) -> Vector:
     return factor * x, factor * y, factor * z
 
 
-def towards(a: Quat, b: Quat, share: float) -> Quat:
+def towards(a: Floats, b: Floats, share: float) -> Quat:
     """Return the unit quaternion wxyz that is a share of the shorter way from one to another.
 
     Shoemake 1985, "Animating rotation with quaternion curves", as a turn about one axis. Its sign
@@ -78,36 +84,23 @@ def towards(a: Quat, b: Quat, share: float) -> Quat:
     x, y, z = vector_of(multiply(b, conjugate(a)))
     angle = math.sqrt(x * x + y * y + z * z)
     if angle < 1e-9:
-        return a
+        return a[0], a[1], a[2], a[3]
     w, i, j, k = multiply(turned((x / angle, y / angle, z / angle), share * angle), a)
     length = math.sqrt(w * w + i * i + j * j + k * k)
     return w / length, i / length, j / length, k / length
 
 
-Floats = Sequence[float]
-
-
-def turn_between(a: Floats, b: Floats) -> tuple[float, float, float]:
+def turn_between(a: Floats, b: Floats) -> Vector:
     """Return the rotation vector [rad] that turns one orientation into another, the shorter way.
 
     Args:
         a: unit quaternion wxyz, that of a body.
         b: likewise, that which is wanted; the vector is in the axes that both are told in.
     """
-    aw, ax, ay, az = a
-    bw, bx, by, bz = b
-    w = bw * aw + bx * ax + by * ay + bz * az  # b times the conjugate of a
-    x = bx * aw - bw * ax - by * az + bz * ay
-    y = by * aw - bw * ay - bz * ax + bx * az
-    z = bz * aw - bw * az - bx * ay + by * ax
-    s = math.sqrt(x * x + y * y + z * z)
-    factor = 2.0 * math.atan2(s, abs(w)) / s if s > 1e-9 else 2.0
-    if w < 0.0:
-        factor = -factor
-    return factor * x, factor * y, factor * z
+    return vector_of(multiply(b, conjugate(a)))
 
 
-def turned_by(quat: Floats, velocity: Floats, duration: float) -> tuple[float, float, float, float]:
+def turned_by(quat: Floats, velocity: Floats, duration: float) -> Quat:
     """Return an orientation after a turn at constant velocity.
 
     Args:
@@ -115,21 +108,11 @@ def turned_by(quat: Floats, velocity: Floats, duration: float) -> tuple[float, f
         velocity: in [rad/s], in the axes that the quaternion leads to.
         duration: in [s].
     """
-    w, x, y, z = quat
     i, j, k = velocity
     speed = math.sqrt(i * i + j * j + k * k)
     half = 0.5 * speed * duration
-    c = math.cos(half)
     s = math.sin(half) / speed if speed > 1e-9 else 0.5 * duration
-    i = s * i
-    j = s * j
-    k = s * k
-    return (
-        c * w - i * x - j * y - k * z,
-        c * x + i * w + j * z - k * y,
-        c * y + j * w + k * x - i * z,
-        c * z + k * w + i * y - j * x,
-    )
+    return multiply((math.cos(half), s * i, s * j, s * k), quat)
 
 
 _HERE = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)

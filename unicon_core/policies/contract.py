@@ -320,6 +320,11 @@ class PolicyFacts:
         """The observation's terms in the order of the input."""
         return self.observation.terms
 
+    @property
+    def seen(self) -> set[str]:
+        """The states that the network takes as inputs or terms."""
+        return {*self.inputs, *(term.state for term in self.terms)}
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PolicyContract(PolicyFacts):

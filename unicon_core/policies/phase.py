@@ -279,7 +279,7 @@ def derived_states(contract: PolicyContract) -> dict[str, StateSpec]:
         for term in contract.terms
         if term.value is not None
     }
-    if RPY in (*contract.inputs, *(term.state for term in contract.terms)):
+    if RPY in contract.seen:
         angles, text = ("roll", "pitch", "yaw"), "base orientation, turned about x, y, z"
         states[RPY] = StateSpec((3,), "float32", "rad", "world", angles, text)
     return states

@@ -167,7 +167,7 @@ def own_states(
 
 def fed_back(contract: PolicyContract, states: PackedStates) -> list[Array]:
     """Return the outputs that a policy sees in its next tick: its action, and states it reads."""
-    read = {*contract.inputs, *(term.state for term in contract.terms)}
+    read = contract.seen
     if contract.phase is not None and contract.phase.rate is not None:
         read.add(contract.phase.rate.state)
     names = ["action", *(name for name in contract.outputs if name in read and name != "action")]

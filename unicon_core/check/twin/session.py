@@ -67,7 +67,7 @@ _SLOW = 0.5  # [m/s]; at 0.3 m/s standing still tracks with 0.70 and tells nothi
 
 def _reads_command(contract: PolicyContract) -> bool:
     """Whether a policy is to follow a velocity command."""
-    return "velocity_command" in (*contract.inputs, *(term.state for term in contract.terms))
+    return "velocity_command" in contract.seen
 
 
 def _ranges(program: Program) -> Mapping[str, tuple[float, float]]:

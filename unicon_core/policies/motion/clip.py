@@ -20,7 +20,7 @@ import numpy as np
 
 from unicon_base import PolicyError, alternatives, one_line
 from unicon_base.arrays import Float32, Float64
-from unicon_core.models.frames import Quat, Vector, multiply, rotate, turned
+from unicon_core.models.frames import Floats, multiply, plus, rotate, towards, turned
 from unicon_core.models.kinematic_tree import BASE, frame_of, read_tree
 from unicon_core.models.load import load_model
 from unicon_core.policies.contract import PolicyContract
@@ -47,10 +47,10 @@ class Step:
         sliding: moves along the axis and does not turn about it.
     """
 
-    position: Vector = (0.0, 0.0, 0.0)
-    quat: Quat = (1.0, 0.0, 0.0, 0.0)
+    position: Floats = (0.0, 0.0, 0.0)
+    quat: Floats = (1.0, 0.0, 0.0, 0.0)
     index: int = -1
-    axis: Vector = AXES["z"]
+    axis: Floats = AXES["z"]
     sliding: bool = False
 
 
@@ -70,8 +70,8 @@ class Chain:
     placed: bool = True
 
     def __call__(
-        self, position: Vector, quat: Quat, joints: Sequence[float]
-    ) -> tuple[Vector, Quat]:
+        self, position: Floats, quat: Floats, joints: Sequence[float]
+    ) -> tuple[Floats, Floats]:
         """Return where the body is in the world, [m], and its orientation, body to world, wxyz.
 
         Args:
@@ -80,15 +80,12 @@ class Chain:
             joints: positions in the robot's order in [rad] or [m].
         """
         for step in self.steps:
-            x, y, z = rotate(quat, step.position)
-            position = (position[0] + x, position[1] + y, position[2] + z)
+            position = plus(position, rotate(quat, step.position))
             quat = multiply(quat, step.quat)
             if step.index < 0:
                 continue
             if step.sliding:
-                way, axis = joints[step.index], step.axis
-                x, y, z = rotate(quat, (axis[0] * way, axis[1] * way, axis[2] * way))
-                position = (position[0] + x, position[1] + y, position[2] + z)
+                position = plus(position, rotate(quat, step.axis), joints[step.index])
             else:
                 quat = multiply(quat, turned(step.axis, joints[step.index]))
         return position, quat
@@ -140,13 +137,12 @@ def chain_in_model(robot: Robot, path: Path, body: str, what: str) -> Chain:
     if body not in base:  # a link's origin is at its joint, a body's is not
         origin = frame_of(model, robot, model.body(body).id)
         assert origin is not None
-        x, y, z = map(float, -origin[1])
-        steps.append(Step((x, y, z)))
+        steps.append(Step((-origin[1]).tolist()))
     place = names.index(body)
     while place >= 0:
         link = links[place]
-        position, quat, axis = (tuple(map(float, v)) for v in (link.position, link.quat, link.axis))
-        steps.insert(0, Step(position, quat, link.index, axis, link.sliding))  # type: ignore[arg-type]
+        position, quat, axis = ([*map(float, v)] for v in (link.position, link.quat, link.axis))
+        steps.insert(0, Step(position, quat, link.index, axis, link.sliding))
         place = link.parent
     return Chain(tuple(steps))
 
@@ -214,7 +210,8 @@ def read_clip(
         return mixed
 
     joint_pos, base_pos = between(frames.joint_pos), between(frames.base_pos)
-    base_quat = _slerp(frames.base_quat[first], frames.base_quat[first + 1], share)
+    ends = (frames.base_quat[first + i].tolist() for i in (0, 1))
+    base_quat = np.array([towards(a, b, part) for a, b, part in zip(*ends, share.tolist())])
     joint_vel = np.zeros_like(joint_pos)
     if frames.joint_vel is not None:
         joint_vel = between(frames.joint_vel)
@@ -244,7 +241,7 @@ def _anchors(
     """Return where the anchor is; a joint that the file lacks, -1, stands at 0."""
     joints = np.pad(joint_pos, ((0, 0), (0, 1)))[:, robot_from_file]
     rows = zip(base_pos.tolist(), base_quat.tolist(), joints.tolist())
-    poses = [chain(tuple(pos), tuple(quat), row) for pos, quat, row in rows]
+    poses = [chain(*row) for row in rows]
     return np.array([pos for pos, _ in poses]), np.array([quat for _, quat in poses])
 
 
@@ -293,25 +290,26 @@ def _joint_order(
 
 
 def _read_npz(path: Path, fps: float | None) -> _Frames:
+    needed = ("fps", "joint_pos", "joint_vel", "body_pos_w", "body_quat_w")
     try:
         with zipfile.ZipFile(path) as parts:
-            if sum(part.file_size for part in parts.infolist()) > MOST_BYTES:
-                raise PolicyError(_LARGE.format(path))
+            large = sum(part.file_size for part in parts.infolist()) > MOST_BYTES
         with np.load(path, allow_pickle=False) as file:
-            needed = ("fps", "joint_pos", "joint_vel", "body_pos_w", "body_quat_w")
-            for key in needed[fps is not None :]:
-                if key not in file:
-                    raise PolicyError(
-                        f"{path}: it has no {key!r}; {alternatives(key, file.keys())}; write it "
-                        "with csv_to_npz.py of BeyondMimic or mjlab"
-                    )
-            arrays = {key: np.asarray(file[key], np.float64) for key in needed if key in file}
-    except PolicyError:
-        raise
+            keys = [] if large else list(file.keys())
+            arrays = {key: np.asarray(file[key], np.float64) for key in needed if key in keys}
     except Exception as error:  # whatever its reader finds: zip, header, objects
         raise PolicyError(
             f"{path}: not a motion in .npz: {one_line(error)[:120]}; export it again"
         ) from error
+    if large:
+        raise PolicyError(_LARGE.format(path))
+    if fps is not None:
+        arrays["fps"] = np.array(fps)
+    if lost := [key for key in needed if key not in arrays]:
+        raise PolicyError(
+            f"{path}: it has no {lost[0]!r}; {alternatives(lost[0], keys)}; write it with "
+            "csv_to_npz.py of BeyondMimic or mjlab"
+        )
     joint_pos, joint_vel, pos, quat = (arrays[key] for key in needed[1:])
     count, joints = (*joint_pos.shape, 0, 0)[:2]
     bodies = (*pos.shape, 0, 0)[1]
@@ -322,9 +320,9 @@ def _read_npz(path: Path, fps: float | None) -> _Frames:
                 f"{path}: {key} has shape {arrays[key].shape}, not (frames, n) or (frames, bodies, "
                 "…) as the others; export it again"
             )
-    said = arrays.get("fps", np.zeros(0)).reshape(-1)
-    rate = fps if fps is not None else float(said[0]) if said.size == 1 else float("nan")
-    return _sound(path, _Frames(rate, joint_pos, joint_vel, pos[:, 0], quat[:, 0], (pos, quat)))
+    rate = arrays["fps"]
+    frames = float(rate.flat[0]) if rate.size == 1 else np.nan
+    return _sound(path, _Frames(frames, joint_pos, joint_vel, pos[:, 0], quat[:, 0], (pos, quat)))
 
 
 def _read_csv(path: Path, fps: float | None) -> _Frames:
@@ -379,18 +377,3 @@ def _sound(path: Path, frames: _Frames) -> _Frames:
         )
     frames.base_quat = quat
     return frames
-
-
-def _slerp(a: Float64, b: Float64, share: Float64) -> Float64:
-    """Return what is between quaternions at shares from 0 to 1, shape (K, 4)."""
-    cosine = (a * b).sum(axis=1)
-    b = np.where(cosine[:, None] < 0.0, -b, b)
-    angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
-    sine = np.sin(angle)
-    small = sine < 1e-6
-    safe = np.where(small, 1.0, sine)
-    wa = np.where(small, 1.0 - share, np.sin((1.0 - share) * angle) / safe)
-    wb = np.where(small, share, np.sin(share * angle) / safe)
-    mixed = wa[:, None] * a + wb[:, None] * b
-    normed: Float64 = mixed / np.linalg.norm(mixed, axis=1, keepdims=True)
-    return normed

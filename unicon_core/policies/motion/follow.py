@@ -26,7 +26,7 @@ import numpy as np
 
 from unicon_base import PolicyError
 from unicon_base.arrays import Float32
-from unicon_core.models.frames import Quat, Vector, conjugate, multiply, rotate, turned, yaw_of
+from unicon_core.models.frames import Floats, conjugate, multiply, plus, rotate, turned, yaw_of
 from unicon_core.policies.bind import PolicyStep
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.controller import PackedStates
@@ -36,8 +36,8 @@ from unicon_core.robots import Robot, joint_index
 _REFERENCE = ("motion_joint_pos", "motion_joint_vel")
 _TURNS = ("motion_anchor_quat", "motion_anchor_ori_b")
 _PLACES = ("motion_anchor_pos", "motion_anchor_pos_b")
-_ORIGIN: Vector = (0.0, 0.0, 0.0)
-_UP: Vector = (0.0, 0.0, 1.0)
+_ORIGIN: Floats = (0.0, 0.0, 0.0)
+_UP: Floats = (0.0, 0.0, 1.0)
 
 
 class MotionClock:
@@ -146,8 +146,7 @@ class MotionTracker(MotionClock):
                 )
             self.reads += ("base_quat",)
             self.writes += _TURNS
-        wanted = {term.state for term in contract.terms} | set(contract.inputs)
-        places = {*_PLACES} & wanted
+        places = contract.seen.intersection(_PLACES)
         self._placed = bool(places)
         if places and (chain is None or not chain.placed or self._places is None):
             raise PolicyError(
@@ -158,7 +157,7 @@ class MotionTracker(MotionClock):
         if self._placed:
             self.reads += ("base_pos_w",)
             self.writes += _PLACES
-        self._turn = [(1.0, 0.0, 0.0, 0.0)] * rows
+        self._turn: list[Floats] = [(1.0, 0.0, 0.0, 0.0)] * rows
         self._shift = [(_ORIGIN, _ORIGIN)] * rows
         self._begun = False
 
@@ -176,31 +175,23 @@ class MotionTracker(MotionClock):
         self._error[:, 0] = np.sqrt(np.einsum("ij,ij->i", self._off, self._off) / n)
         if self._chain is not None:
             for row in range(self._rows):
-                self._compare(row, self._chain, *self._pose(row, tick))
+                self._compare(row, self._chain, tick)
             self._begun = True
         super().__call__()
 
-    def _pose(self, row: int, tick: int) -> tuple[Vector, Quat]:
-        """Return the reference's anchor in the motion's world."""
+    def _compare(self, row: int, chain: Chain, tick: int) -> None:
         assert self._quats is not None
-        w, x, y, z = self._quats(row, tick)
-        a, b, c = _ORIGIN if self._places is None else self._places(row, tick)
-        return (a, b, c), (w, x, y, z)
-
-    def _compare(self, row: int, chain: Chain, place: Vector, quat: Quat) -> None:
-        w, x, y, z = self._base_quat[row].tolist()
-        base = _ORIGIN
-        if self._placed:
-            a, b, c = self._base_pos[row].tolist()
-            base = (a, b, c)
-        own_place, own = chain(base, (w, x, y, z), self._joint_pos[row].tolist())
+        quat = self._quats(row, tick)
+        place = _ORIGIN if self._places is None else self._places(row, tick)
+        base = self._base_pos[row].tolist() if self._placed else _ORIGIN
+        joints = self._joint_pos[row].tolist()
+        own_place, own = chain(base, self._base_quat[row].tolist(), joints)
         if not self._begun and self._align:
             self._turn[row] = turned(_UP, yaw_of(own) - yaw_of(quat))
-            there = (own_place[0], own_place[1], 0.0)
-            self._shift[row] = ((place[0], place[1], 0.0), there)
+            self._shift[row] = (*place[:2], 0.0), (*own_place[:2], 0.0)
         turn = self._turn[row]
         quat = multiply(turn, quat)
-        w, x, y, z = relative = multiply(conjugate(own), quat)
+        w, x, y, z = multiply(conjugate(own), quat)
         anchor, rotation = self._anchor
         anchor[row] = quat
         rotation[row] = (
@@ -208,16 +199,12 @@ class MotionTracker(MotionClock):
             2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z),
             2.0 * (x * z - w * y), 2.0 * (y * z + w * x),
         )  # fmt: skip
-        sine = math.sqrt(relative[1] ** 2 + relative[2] ** 2 + relative[3] ** 2)
-        self._error[row, 1] = 2.0 * math.atan2(sine, abs(w))
+        self._error[row, 1] = 2.0 * math.atan2(math.hypot(x, y, z), abs(w))
         if self._placed:
             begin, there = self._shift[row]
-            way = (place[0] - begin[0], place[1] - begin[1], place[2] - begin[2])
-            a, b, c = rotate(turn, way)
-            goal = (a + there[0], b + there[1], c + there[2])
+            goal = plus(rotate(turn, plus(place, begin, -1.0)), there)
             self._position[0][row] = goal
-            offset = (goal[0] - own_place[0], goal[1] - own_place[1], goal[2] - own_place[2])
-            self._position[1][row] = rotate(conjugate(own), offset)
+            self._position[1][row] = rotate(conjugate(own), plus(goal, own_place, -1.0))
 
     def reset(self) -> None:
         """Begin the motion anew, wherever the robot is in the next tick."""
@@ -234,45 +221,36 @@ def _anchor_source(
     """Return what gives the reference's orientation (wxyz) and position by row and tick."""
     spec = contract.motion
     assert spec is not None
-    found: list[Published | None] = []
     if clip is not None:
-        for array in (clip.anchor_quat, clip.anchor_pos):
-            frames = None if array is None else array.tolist()
-            found.append(frames and partial(_of_frame, frames, len(frames) - 1))
-        return found
-    body, count, suffix = 0, 1, "ref_quat_xyzw ref_pos_xyz"
-    order: Any = [3, 0, 1, 2]
+        frames = (clip.anchor_quat, clip.anchor_pos)
+        return [None if each is None else partial(_of_frame, each.tolist()) for each in frames]
+    bodies: tuple[str, ...] = (spec.anchor_body,)
+    names, order = ("ref_quat_xyzw", "ref_pos_xyz"), [3, 0, 1, 2]
     if spec.anchor_body in spec.bodies:
-        body, count = spec.bodies.index(spec.anchor_body), len(spec.bodies)
-        suffix, order = "body_quat_w body_pos_w", slice(None)
-    for name, size, places in zip(suffix.split(), (4, 3), (order, slice(None))):
-        view = _rows_of(contract, states, f"motion_{name}", rows, count, size)
-        found.append(None if view is None else partial(_of_row, view[:, body], places))
+        bodies, names, order = spec.bodies, ("body_quat_w", "body_pos_w"), [0, 1, 2, 3]
+    found: list[Published | None] = []
+    for suffix, places in zip(names, (order, [0, 1, 2])):
+        name, count, size = f"motion_{suffix}", len(bodies), len(places)
+        if name not in contract.outputs or name not in states:
+            found.append(None)
+            continue
+        if states[name].size != rows * count * size:
+            raise PolicyError(
+                f"policy {contract.name}: output {contract.outputs[name]!r} has "
+                f"{states[name].size // rows} values, not {size} for each of {count} bodies; "
+                "correct motion.bodies or 'outputs'"
+            )
+        view = states[name].reshape(rows, count, size)[:, bodies.index(spec.anchor_body)]
+        found.append(partial(_of_row, view, places))
     return found
 
 
-def _of_frame(frames: Any, last: int, row: int, tick: int) -> Any:
-    return frames[min(tick, last)]
+def _of_frame(frames: Any, row: int, tick: int) -> Any:
+    return frames[min(tick, len(frames) - 1)]
 
 
-def _of_row(view: Float32, places: Any, row: int, tick: int) -> Any:
+def _of_row(view: Float32, places: list[int], row: int, tick: int) -> Any:
     return view[row, places].tolist()
-
-
-def _rows_of(
-    contract: PolicyContract, states: PackedStates, name: str, rows: int, bodies: int, size: int
-) -> Float32 | None:
-    """Return an output as rows of bodies; None where it is not one."""
-    if name not in contract.outputs or name not in states:
-        return None
-    if states[name].size != rows * bodies * size:
-        raise PolicyError(
-            f"policy {contract.name}: output {contract.outputs[name]!r} has "
-            f"{states[name].size // rows} values, not {size} for each of {bodies} bodies; correct "
-            "motion.bodies or 'outputs'"
-        )
-    view: Float32 = states[name].reshape(rows, bodies, size)
-    return view
 
 
 FAR = 1 << 20
@@ -304,7 +282,6 @@ def tracker_of(
     if spec.duration is not None:
         return MotionClock(contract, states, spec.duration)
     joints = tuple(robot.joint_names)
-    wanted = {term.state for term in contract.terms} | set(contract.inputs)
     if spec.file is not None:
         chain = _chain(contract, robot, model)
         clip = read_clip(spec, contract, joints, chain)
@@ -315,7 +292,7 @@ def tracker_of(
                 f"policy {contract.name}: nothing tells {name}; give motion.file, or name the "
                 "network's output for it under 'outputs'"
             )
-    found = _chain(contract, robot, model) if wanted.intersection(_TURNS + _PLACES) else None
+    found = _chain(contract, robot, model) if contract.seen.intersection(_TURNS + _PLACES) else None
     lane.first_step = float(round(spec.start / contract.period))
     lane.held = float(round(spec.hold / contract.period))
     lane.reset()
@@ -324,7 +301,7 @@ def tracker_of(
         length = round((spec.end - spec.start) / contract.period) + 1
     elif "time_step" in contract.inputs:
         length = _length(lane, states, contract)
-    if length is None and "motion_phase" in wanted:
+    if length is None and "motion_phase" in contract.seen:
         raise PolicyError(
             f"policy {contract.name}: motion_phase is a share of the motion, whose end nothing "
             "tells; give motion.end in [s]"
