@@ -159,5 +159,7 @@ def test_another_robot_is_refused_and_none_asks_for_the_joints(tmp_path: Path) -
     with pytest.raises(PolicyError, match="motors 0, 1, 2, 3 of the robot: name the"):
         load_policy(path)
     assert load_policy(path, given={"joints": list(JOINTS)}).joints == JOINTS
-    with pytest.raises(PolicyError, match=r"given joints has 1 names, and it counts motors 0, 1, 2, 3; name"):
+    with pytest.raises(
+        PolicyError, match=r"given joints has 1 names, and it counts motors 0, 1, 2, 3; name"
+    ):
         load_policy(path, given={"joints": ["a_hip"]})

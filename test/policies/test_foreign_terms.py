@@ -276,6 +276,61 @@ def test_a_command_is_the_frequency_of_the_clock(tmp_path: Path, rows: int | Non
     assert "its speed times (0 + 1 · gait_command[0])" in policy_table(policy.contract)
 
 
+@pytest.mark.parametrize("rows", [None, 3])
+def test_a_command_puts_each_foot_ahead_of_the_clock(tmp_path: Path, rows: int | None) -> None:
+    """As walk-these-ways: the command has frequency, phase, offset and bound of its gaits."""
+    extra = {"gait_command": StateSpec((4,), names=("frequency", "phase", "offset", "bound"))}
+    terms = [{"name": "clock", "state": "gait_phase_sin"}]
+    phase = {
+        "period": 1.0, "offsets": [0.0] * 4, "rate": {"state": "gait_command"},
+        "shift": {"state": "gait_command", "index": [[1, 2, 3], [2], [3], [1]]},
+    }  # fmt: skip
+    policy, states = seen_by(tmp_path, terms, 4, extra=extra, rows=rows, phase=phase)
+    assert policy.reads.count("gait_command") == 1
+    gaits = {"trot": (0.5, 0.0, 0.0), "pace": (0.0, 0.5, 0.0), "bound": (0.0, 0.0, 0.5)}
+    together = {"trot": [(0, 3), (1, 2)], "pace": [(0, 1), (2, 3)], "bound": [(0, 2), (1, 3)]}
+    turns = 0.0
+    for name, (first, second, third) in gaits.items():
+        for _ in range(60):
+            states.gait_command = [3.0, first, second, third]
+            policy()
+            turns = (turns + 0.02 * 3.0) % 1.0
+            feet = np.array([first + second + third, second, third, first]) + turns
+            for seen in states.seen.reshape(-1, 4):
+                np.testing.assert_allclose(seen, np.sin(2.0 * np.pi * feet), atol=1e-6)
+        for a, b in together[name]:
+            np.testing.assert_allclose(states.seen[..., a], states.seen[..., b], atol=1e-6)
+    if rows:
+        assert policy.phase is not None
+        states.gait_command[1, 1] = np.nan  # of one robot alone
+        before = states.gait_phase_sin[0].copy()
+        policy.phase()
+        assert np.isfinite(states.gait_phase_sin[[0, 2]]).all()
+        assert not np.array_equal(states.gait_phase_sin[0], before)
+    assert "ahead by gait_command[1+2+3, 2, 3, 1]" in policy_table(policy.contract)
+
+
+@pytest.mark.parametrize(
+    ("shift", "message"),
+    [
+        ({"state": "velocity_command", "index": [[1]]}, "shift.index has 1 lists for 2 offsets"),
+        ({"state": "velocity_command", "index": [[3], []]}, "its shift takes element 3 of state"),
+        ({"state": "gait_comand", "index": [[0], []]}, "takes element 0 of state 'gait_comand'"),
+        ({"state": "velocity_command", "index": [[-1], []]}, "shift.index.0.0 is -1; write"),
+        ({"state": "velocity_command", "index": 1}, "shift.index is 1; write a list of elements"),
+        ({"index": [[0], []]}, "phase.shift: missing key 'state'"),
+    ],
+)
+def test_a_shift_of_the_clock_that_does_not_fit_is_refused(
+    tmp_path: Path, shift: dict[str, Any], message: str
+) -> None:
+    phase = {"period": 1.0, "offsets": [0.0, np.pi], "shift": shift}
+    with pytest.raises(PolicyError) as caught:
+        seen_by(tmp_path, [{"name": "clock", "state": "gait_phase_sin"}], 2, phase=phase)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
 def test_an_output_sets_the_rate_of_the_clock_from_the_next_tick_on(tmp_path: Path) -> None:
     write_graph(
         tmp_path / "policy.onnx",
@@ -344,7 +399,10 @@ def test_an_action_without_more_than_the_joints_has_nothing_extra(tmp_path: Path
 @pytest.mark.parametrize(
     ("rate", "message"),
     [
-        ({"state": "gone"}, "its rate is element 0 of state 'gone', which is not there; correct"),
+        (
+            {"state": "gone"},
+            "its rate takes element 0 of state 'gone', which is not there; correct",
+        ),
         ({"state": "velocity_command", "index": 3}, "element 3 of state 'velocity_command'"),
         ({"state": "velocity_command", "index": -1}, "phase.rate.index is -1; write"),
         ({"index": 1}, "phase.rate: missing key 'state'"),

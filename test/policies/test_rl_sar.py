@@ -176,7 +176,10 @@ def test_base_yaml_is_needed_and_is_no_policy(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"joint_mapping": [0, 1, 2]}, "joint_mapping has 3 values for the 4 of num_of_dofs; give 4"),
+        (
+            {"joint_mapping": [0, 1, 2]},
+            "joint_mapping has 3 values for the 4 of num_of_dofs; give 4",
+        ),
         ({"joint_mapping": [0, 1, 2, 2]}, "joint_mapping names 2 twice; name each once"),
         ({"joint_mapping": [0, 1, 2, 4]}, "joint_mapping.3 is 4; write a whole number from 0 to 3"),
         (

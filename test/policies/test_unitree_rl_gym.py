@@ -151,7 +151,10 @@ def test_several_files_in_a_folder_are_named(tmp_path: Path) -> None:
         ({"leg_joint2motor_idx": [0, 0]}, "leg_joint2motor_idx names 0 twice; name each"),
         ({"leg_joint2motor_idx": [0, 1]}, "motor 1 stands in both; name each motor once"),
         ({"leg_joint2motor_idx": [0, 12]}, "names motor 12, but robot 'toy' has 4 motors"),
-        ({"leg_joint2motor_idx": [0]}, "leg_joint2motor_idx has 1 values for the 2 of num_actions; give 2"),
+        (
+            {"leg_joint2motor_idx": [0]},
+            "leg_joint2motor_idx has 1 values for the 2 of num_actions; give 2",
+        ),
         ({"control_dt": -0.02}, "period is -0.02; write a number from 1e-06 to 1000 [s]"),
         ({"control_dt": "fast"}, "control_dt is 'fast'; write a number"),
         ({"cmd_scale": [2.0]}, "cmd_scale has 1 values; give 3"),

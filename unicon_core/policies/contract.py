@@ -38,6 +38,7 @@ from unicon_core.policies.hints import (
     Angle,
     Clip,
     ClockRate,
+    ClockShift,
     Feeds,
     Offsets,
     Period,
@@ -246,6 +247,7 @@ class PhaseSpec:
             they `stand`, or where the `clock` is, which ran on meanwhile; None: the usual one of
             `stand`, which are these in turn for a value, `freeze` and `zero`.
         rate: what the clock's speed follows, or None for 1 / period.
+        shift: what puts each phase ahead of the clock besides `offsets`, or None.
     """
 
     period: Period
@@ -255,10 +257,15 @@ class PhaseSpec:
     command: Text = "velocity_command"
     resume: Literal["offsets", "stand", "clock"] | None = None
     rate: ClockRate | None = None
+    shift: ClockShift | None = None
 
     @staticmethod
     def between(found: AnyDict, here: Here) -> None:
-        """Note phases that go on and never stand."""
+        """Note phases that go on and never stand, and shifts of more or fewer phases."""
+        shift, offsets = found.get("shift"), found.get("offsets", _TWO_LEGS)
+        if shift is not None and len(shift.index) != len(offsets):
+            text = f"has {len(shift.index)} lists for {len(offsets)} offsets; give one for each"
+            here.value(text, "shift", "index")
         if found.get("resume") is not None and here.written.get("stand") is None:
             here.value(
                 "says where the phases go on, and stand: does not say that they stand; add stand: "

@@ -129,14 +129,15 @@ def _note_action(
         text = f"has {len(kinds)} words for {len(moved)} joints; give one word, one for each"
         here.value(f"{text}, or a mapping {{'*_wheel_joint': velocity}}", "action", "kind")
         return
-    for column, array in enumerate((action.scale, action.offset)):
-        below = [] if array is None or array.size == 1 else [0]
+    for column, key in enumerate(("scale", "offset")):
+        array = getattr(action, key)
+        single = array is None or array.size == 1
         for i, (kind, number) in enumerate(zip(kinds, _spread(array, len(kinds)))):
             highest, unit = _BOUNDS[kind][column], _BOUNDS[kind][2]
             if abs(number) > highest:
                 text = f"is {number:g}; a {kind} has at most {highest:g} {unit}"
-                here.value(text, "action", ("scale", "offset")[column], *(i for _ in below))
-                if not below:
+                here.value(text, "action", key, *(() if single else (i,)))
+                if single:
                     break
     stiffness, damping = (_spread(found.get(key), len(joints)) for key in GAINS)
     for name in (name for name, kind in zip(moved, kinds) if kind == "velocity"):

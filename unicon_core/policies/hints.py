@@ -187,3 +187,20 @@ class ClockRate:
 
     def __str__(self) -> str:
         return f"({self.offset:g} + {self.scale:g} · {self.state}[{self.index}])"
+
+
+@dataclass(frozen=True)
+class ClockShift:
+    """How far each phase is ahead of the gait clock: a sum of elements of a state, in gaits.
+
+    Attributes:
+        state: such as a command with the offsets of gaits, as shares of one.
+        index: the elements that are added up: a list for each phase.
+    """
+
+    state: Text
+    index: Annotated[tuple[tuple[Place, ...], ...], Write("a list of elements for each phase")]
+
+    def __str__(self) -> str:
+        sums = ("+".join(map(str, places)) or "0" for places in self.index)
+        return f"{self.state}[{', '.join(sums)}]"

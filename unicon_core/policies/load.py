@@ -232,7 +232,7 @@ def _read(
     path = _locate(reference)
     said = FromModel(path, nested(path, given), robot, model)
     # Isaac's simulators count joints breadth first.
-    isaac = said.asks("joints") and path.suffix in (".yaml", ".yml")
+    isaac = path.suffix in (".yaml", ".yml") and said.asks("joints")
     isaac = isaac and configuration_reader(_yaml(path).value) is env_yaml_facts
     said.joints("breadth_first" if isaac else "depth_first")
     facts = _facts_of(path, robot, said.given)

@@ -16,6 +16,7 @@ zero, sine and cosine are 0; the time runs on meanwhile in deployment, and stand
 From Improbable-AI/walk-these-ways, `go1_gym_deploy/envs/lcm_agent.py` (`phase.rate`): the frequency
 in [Hz] is an element of the command, by which one phase advances, wrapped at 1. Policies that set
 the rate themselves have it as an output, which `outputs` makes a state; it acts a tick later.
+There (`phase.shift`) further elements put the feet ahead of that phase: by sums of three of them.
 
 `base_rpy` are roll, pitch and yaw of `base_quat` in [rad]: turns about the fixed axes x, then y,
 then z of the world, roll and yaw in (−π, π], pitch in [−π/2, π/2]. Its sources agree:
@@ -83,15 +84,15 @@ class GaitPhase:
         runs_on = spec.stand is not None and self._resume == "clock"
         self._clock = self.phase.copy() if runs_on else self.phase
         self._standing = np.zeros(rows, bool)
-        self._rate = rate = spec.rate
+        self._rate, self._shift = rate, shift = spec.rate, spec.shift
         if rate is not None:
-            if rate.state not in states or states[rate.state].size <= rate.index * rows:
-                raise PolicyError(
-                    f"gait phase: its rate is element {rate.index} of state {rate.state!r}, which "
-                    "is not there; correct phase.rate"
-                )
-            self.reads = (rate.state,)
-            self._rates = states[rate.state].reshape(rows, -1)[:, rate.index :][:, :1]
+            self._rates = self._view(states, "rate", rate.state, rate.index)[:, rate.index, None]
+        if shift is not None:
+            highest = max((place for places in shift.index for place in places), default=0)
+            self._shifts = self._view(states, "shift", shift.state, highest)
+            self._sums = np.zeros((self._shifts.shape[1], count))
+            for phase, places in enumerate(shift.index):
+                self._sums[list(places), phase] = 2.0 * np.pi
         if spec.stand is not None:
             if spec.command not in states or states[spec.command].size != rows * 3:
                 raise PolicyError(
@@ -100,6 +101,16 @@ class GaitPhase:
                 )
             self.reads += (spec.command,)
             self._command = states[spec.command].reshape(rows, 3)
+
+    def _view(self, states: PackedStates, key: str, name: str, highest: int) -> Float32:
+        rows = len(self.phase)
+        if name not in states or states[name].size <= highest * rows:
+            raise PolicyError(
+                f"gait phase: its {key} takes element {highest} of state {name!r}, which is not "
+                f"there; correct phase.{key}"
+            )
+        self.reads += (name,)
+        return states[name].reshape(rows, -1)
 
     @property
     def begins(self) -> bool:
@@ -123,6 +134,8 @@ class GaitPhase:
         if before is not None:
             self._stand_still(before)
         count = phase.shape[1]
+        if self._shift is not None:
+            phase = phase + self._shifts @ self._sums
         np.sin(phase, out=self._both[:, :count], casting="same_kind")
         np.cos(phase, out=self._both[:, count:], casting="same_kind")
         if self._stand == "zero":

@@ -168,8 +168,8 @@ def own_states(
 def fed_back(contract: PolicyContract, states: PackedStates) -> list[Array]:
     """Return the outputs that a policy sees in its next tick: its action, and states it reads."""
     read = contract.seen
-    if contract.phase is not None and contract.phase.rate is not None:
-        read.add(contract.phase.rate.state)
+    phase = contract.phase
+    read |= {part.state for part in (phase and phase.rate, phase and phase.shift) if part}
     names = ["action", *(name for name in contract.outputs if name in read and name != "action")]
     names += [contract.action.extra] if contract.action.extra else []
     return [states[name] for name in names if name in states]

@@ -86,15 +86,17 @@ def policy_table(contract: PolicyContract, robot: Robot | None = None) -> str:
         lines.append(f"command      changes by at most {slew} [m/s², m/s², rad/s²] (slew)")
     for name, (low, high) in contract.command_ranges.items():
         lines.append(f"command      {name} from {span(low, high, ' to ')}")
-    if contract.phase is not None:
-        offsets = ", ".join(figure(offset, ".4g") for offset in contract.phase.offsets)
-        stand = contract.phase.stand
+    if (phase := contract.phase) is not None:
+        offsets = ", ".join(figure(offset, ".4g") for offset in phase.offsets)
         words = {"None": "keeps running", "freeze": "stands still", "zero": "sine and cosine are 0"}
-        still = words.get(str(stand)) or f"stands at {figure(float(stand or 0), '.4g')} rad"
-        speed = "" if contract.phase.rate is None else f", its speed times {contract.phase.rate}"
+        still = words.get(str(phase.stand)) or (
+            f"stands at {figure(float(phase.stand or 0), '.4g')} rad"
+        )
+        speed = "" if phase.rate is None else f", its speed times {phase.rate}"
+        speed += "" if phase.shift is None else f", ahead by {phase.shift}"
         lines.append(
-            f"gait phase   period {contract.phase.period:g} s{speed}, offsets {offsets} rad, "
-            f"{still} without a command"
+            f"gait phase   period {phase.period:g} s{speed}, offsets {offsets} rad, {still} without "
+            "a command"
         )
     if contract.height_scan is not None:
         lines.append(f"height scan  {contract.height_scan}")
@@ -125,22 +127,21 @@ def joint_rows(contract: PolicyContract, robot: Robot | None = None) -> list[lis
     head += ["target"] if action.kinds else []
     held = ["held", "-", "-", *(["-"] if action.kinds else [])]
     rows = [[*head[:2], "robot", *head[2:]] if robot is not None else head]
+    gains = (contract.stiffness, contract.damping, contract.default_joint_pos)
     for i, name in enumerate(contract.joints):
         row = [str(i), name] + ([] if robot is None else [str(place.get(name, "missing"))])
-        gains = (contract.stiffness, contract.damping, contract.default_joint_pos)
         row += [figure(values[i]) for values in gains]
+        ends = held
         if name in action.joints:
             j = action.joints.index(name)
-            clip = "-" if action.clip is None else span(action.clip[0, j], action.clip[1, j], "…")
-            row += [
+            clip = "-" if action.clip is None else span(*action.clip[:, j], "…")
+            ends = [
                 figure(action.scale[j]),
                 figure(action.offset[j]),
                 clip,
                 *action.kinds[j : j + 1],
             ]
-        else:
-            row += held
-        rows.append(row)
+        rows.append(row + ends)
     own = ["robot's"] * 3
     return rows + [
         ["-", name, str(place[name]), *own, *held] for name in place if name not in contract.joints

@@ -373,6 +373,5 @@ def lerobot_facts(source: Source) -> Facts:
         source.say("chunk.steps", steps, "n_action_steps")
     if (weight := source.document.get("temporal_ensemble_coeff")) is not None:
         facts.values["chunk"] |= {"execution": "ensemble", "weight": weight}
-    for key, name in (("inputs", "observation"), ("outputs", "action")):
-        facts.values[key] = {name: name}
+    facts.values |= {"inputs": {"observation": "observation"}, "outputs": {"action": "action"}}
     return facts

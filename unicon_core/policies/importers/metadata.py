@@ -177,6 +177,7 @@ def mjlab_facts(onnx: OnnxFile) -> Facts:
     if motion:
         facts.source = "BeyondMimic metadata"
     reader.say_joints("joint_names", reader.words("joint_names"), _VECTORS, reader.numbers)
+    terms: list[AnyDict] = []
     if "observation_names" in texts:
         terms = _terms(reader, motion)
         if "observation_terms_scale" not in texts:
@@ -190,6 +191,10 @@ def mjlab_facts(onnx: OnnxFile) -> Facts:
             facts.say("motion.anchor_body", anchor.strip())
             if "body_names" in texts:
                 facts.say("motion.bodies", reader.words("body_names"))
+        elif anchor is None and any(
+            str(dig(t, "state")).startswith("motion_anchor") for t in terms
+        ):
+            facts.asks["motion"] = "anchor_body, by which robot and motion are compared"
     rounded = [key for key in _VECTORS.values() if _ROUNDED.fullmatch(texts.get(key, ""))]
     if rounded:
         facts.tolerance = (1e-6, 5.1e-4)
@@ -238,8 +243,11 @@ def holosoma_facts(onnx: OnnxFile) -> Facts:
     reader.say_joints("dof_names", joints, gains, metadata.__getitem__)
     ranges = metadata.get("command_ranges")
     if isinstance(ranges, dict):
-        named = {RENAMED_RANGES.get(name, name): pair for name, pair in ranges.items()}
-        facts.values["command_ranges"] = {n: pair for n, pair in named.items() if pair is not None}
+        facts.values["command_ranges"] = {
+            RENAMED_RANGES.get(name, name): pair
+            for name, pair in ranges.items()
+            if pair is not None
+        }
     inputs = {tensor.name: tensor for tensor in onnx.inputs}
     needed = {*_INPUTS.values(), *_REFERENCE.values()}
     if not needed <= {*inputs, *_names(onnx.outputs)}:
