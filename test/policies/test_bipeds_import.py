@@ -313,6 +313,25 @@ def test_a_wrong_file_of_limx_gets_one_line(
     assert "\n" not in str(caught.value)
 
 
+def test_an_encoder_of_limx_takes_one_vector(tmp_path: Path) -> None:
+    path = limx(tmp_path, "wheel", "isaacgym")
+    write_graph(
+        tmp_path / "policy" / "isaacgym" / "encoder.onnx",
+        "mlp_output = Add(a, b)",
+        ["a", "b"],
+        {"a": [3], "b": [3], "mlp_output": [3]},
+        {},
+    )
+    with pytest.raises(PolicyError, match=r"encoder.onnx: it has a .*, b .*; one vector is wanted"):
+        load_policy(path)
+
+
+def test_an_imu_that_is_turned_gets_a_note(tmp_path: Path) -> None:
+    offset = {"roll": 0.0, "pitch": 0.125, "yaw": 0.0}
+    notes = load_policy(limx(tmp_path, "", "isaacgym", imu_orientation_offset=offset)).notes
+    assert any("imu_orientation_offset is not imported; the robot file has it" in n for n in notes)
+
+
 # -- Agibot -------------------------------------------------------------------------------------
 
 

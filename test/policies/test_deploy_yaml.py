@@ -213,6 +213,17 @@ def test_joint_pos_is_absolute_and_joint_pos_rel_relative(tmp_path: Path) -> Non
             ":17: observations.policy is 3; write a mapping of terms",
         ),
         (
+            "clip: null\n    joint_names: [.*]\n    scale: [0.25,",
+            "clip: [[-1, 1]]\n    joint_names: [.*]\n    scale: [0.0,",
+            ":11: clip is [[-1, 1]]; give [lowest, highest] each",
+        ),
+        (
+            DEPLOY[DEPLOY.index("  base_ang_vel:") :],
+            "  policy: {a: {scale: 1.0}}\n  critic: {a: {scale: 1.0}}\n",
+            ":16: observations has the groups policy, critic; only one can be imported, write a "
+            "policy.yaml with 'inputs' for the others",
+        ),
+        (
             "step_dt: 0.02",
             "step_dt: 0.02\nstep_dt: 0.01",
             ":3: not valid YAML: key 'step_dt' stands twice, first in line 2; remove one",

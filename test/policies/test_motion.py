@@ -24,6 +24,7 @@ from onnx import TensorProto
 
 from unicon_base.errors import Fault, PolicyError
 from unicon_core.policies import Policy, load_policy, policy_states, write_policy_yaml
+from unicon_core.policies.motion.clip import Chain, Step
 from unicon_core.states import Layout, States, standard_states
 
 pytest.importorskip("mujoco", reason="anchors are found in a model")
@@ -268,6 +269,14 @@ def test_joints_between_may_be_said_in_place_of_a_model(folder: Path) -> None:
     np.testing.assert_allclose(
         states["motion_anchor_ori_b"], (own.T @ goal)[:, :2].ravel(), atol=1e-5
     )
+
+
+def test_a_joint_that_slides_moves_the_anchor_along_its_axis() -> None:
+    turned = (np.cos(0.25), 0.0, np.sin(0.25), 0.0)
+    steps = (Step((0.5, 0.0, 0.0), turned), Step(index=1, axis=(0.0, 0.0, 1.0), sliding=True))
+    position, quat = Chain(steps)((1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0), [9.0, 0.25])
+    assert position == pytest.approx([1.5 + 0.25 * np.sin(0.5), 2.0, 3.0 + 0.25 * np.cos(0.5)])
+    assert quat == pytest.approx(turned)
 
 
 def test_garbage_of_the_imu_never_reaches_the_motors(folder: Path) -> None:

@@ -95,8 +95,8 @@ def policy_table(contract: PolicyContract, robot: Robot | None = None) -> str:
         speed = "" if phase.rate is None else f", its speed times {phase.rate}"
         speed += "" if phase.shift is None else f", ahead by {phase.shift}"
         lines.append(
-            f"gait phase   period {phase.period:g} s{speed}, offsets {offsets} rad, {still} without "
-            "a command"
+            f"gait phase   period {phase.period:g} s{speed}, offsets {offsets} rad, {still} "
+            "without a command"
         )
     if contract.height_scan is not None:
         lines.append(f"height scan  {contract.height_scan}")
@@ -134,7 +134,7 @@ def joint_rows(contract: PolicyContract, robot: Robot | None = None) -> list[lis
         ends = held
         if name in action.joints:
             j = action.joints.index(name)
-            clip = "-" if action.clip is None else span(*action.clip[:, j], "…")
+            clip = "-" if action.clip is None else span(action.clip[0, j], action.clip[1, j], "…")
             ends = [
                 figure(action.scale[j]),
                 figure(action.offset[j]),
