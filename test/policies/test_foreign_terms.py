@@ -310,6 +310,21 @@ def test_a_command_puts_each_foot_ahead_of_the_clock(tmp_path: Path, rows: int |
     assert "ahead by gait_command[1+2+3, 2, 3, 1]" in policy_table(policy.contract)
 
 
+def test_elements_that_no_phase_adds_do_not_matter(tmp_path: Path) -> None:
+    extra = {"gait_command": StateSpec((3,))}
+    shift = {"state": "gait_command", "index": [[1, 1], []]}
+    phase = {"period": 1.0, "offsets": [0.0, 0.0], "shift": shift}
+    terms = [{"name": "clock", "state": "gait_phase_sin"}]
+    policy, states = seen_by(tmp_path, terms, 2, extra=extra, phase=phase)
+    states.gait_command = [np.nan, 0.125, np.inf]
+    policy()
+    turns = 2.0 * np.pi * np.array([0.02 + 0.25, 0.02])
+    np.testing.assert_allclose(states.seen, np.sin(turns), atol=1e-6)
+    states.gait_command = [0.0, np.nan, 0.0]
+    with pytest.raises(Fault, match="not finite"):
+        policy()
+
+
 @pytest.mark.parametrize(
     ("shift", "message"),
     [

@@ -88,11 +88,12 @@ class GaitPhase:
         if rate is not None:
             self._rates = self._view(states, "rate", rate.state, rate.index)[:, rate.index, None]
         if shift is not None:
-            highest = max((place for places in shift.index for place in places), default=0)
-            self._shifts = self._view(states, "shift", shift.state, highest)
-            self._sums = np.zeros((self._shifts.shape[1], count))
-            for phase, places in enumerate(shift.index):
-                self._sums[list(places), phase] = 2.0 * np.pi
+            self._used = used = sorted({place for places in shift.index for place in places})
+            self._shifts = self._view(states, "shift", shift.state, max(used, default=0))
+            self._sums = np.zeros((len(used), count))
+            for i, places in enumerate(shift.index):
+                for place in places:
+                    self._sums[used.index(place), i] += 2.0 * np.pi
         if spec.stand is not None:
             if spec.command not in states or states[spec.command].size != rows * 3:
                 raise PolicyError(
@@ -135,7 +136,7 @@ class GaitPhase:
             self._stand_still(before)
         count = phase.shape[1]
         if self._shift is not None:
-            phase = phase + self._shifts @ self._sums
+            phase = phase + self._shifts[:, self._used] @ self._sums
         np.sin(phase, out=self._both[:, :count], casting="same_kind")
         np.cos(phase, out=self._both[:, count:], casting="same_kind")
         if self._stand == "zero":
