@@ -19,8 +19,8 @@ from lerobot.policies.factory import (
 )
 
 from unicon_core.policies import load_policy
+from unicon_core.policies.contract import ChildSpec
 from unicon_core.policies.networks import open_network
-from unicon_core.policies.remote_spec import ChildSpec
 from unicon_core.robots import load_robot
 
 FEATURES = {

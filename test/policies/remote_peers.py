@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import re
-import socket
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -73,43 +71,3 @@ def make_keys(folder: Path) -> Path:
         create_certificates(folder, name)
     (folder / "clients/robot.key").write_bytes((folder / "client.key").read_bytes())
     return folder
-
-
-class SlowLink:
-    """A TCP way to a port that takes `delay` [s] each way."""
-
-    def __init__(self, address: str, delay: float) -> None:
-        self._target, self._delay = int(address.rpartition(":")[2]), delay
-        self._server = socket.create_server(("127.0.0.1", 0))
-        self.address = f"tcp://127.0.0.1:{self._server.getsockname()[1]}"
-        threading.Thread(target=self._accept, daemon=True).start()
-
-    def _accept(self) -> None:
-        with suppress(OSError):
-            while True:
-                near, _ = self._server.accept()
-                far = socket.create_connection(("127.0.0.1", self._target))
-                for way in ((near, far), (far, near)):
-                    waiting: list[tuple[float, bytes]] = []
-                    for carry in (self._take, self._give):
-                        threading.Thread(target=carry, args=(*way, waiting), daemon=True).start()
-
-    def _take(self, source: socket.socket, _: socket.socket, waiting: list[Any]) -> None:
-        with suppress(OSError):
-            while received := source.recv(1 << 16):
-                waiting.append((time.monotonic() + self._delay, received))
-        waiting.append((0.0, b""))
-
-    def _give(self, _: socket.socket, sink: socket.socket, waiting: list[Any]) -> None:
-        with suppress(OSError):
-            while True:
-                if not waiting or waiting[0][0] > time.monotonic():
-                    time.sleep(0.0005)
-                elif not (received := waiting.pop(0)[1]):
-                    break
-                else:
-                    sink.sendall(received)
-        sink.close()
-
-    def close(self) -> None:
-        self._server.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -22,16 +23,18 @@ from unicon_base.errors import PolicyError, UniconError, WorkflowError
 from unicon_base.resources import same_modules
 from unicon_core.check import check_workflow, graph
 from unicon_core.policies import load_policy
+from unicon_core.policies.contract import RemoteSpec
 from unicon_core.policies.networks import child, remote
-from unicon_core.policies.remote_spec import RemoteSpec
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.report import Report
 from unicon_core.workflow import Program, load_workflow
 
 zmq = pytest.importorskip("zmq")
 pytest.importorskip("onnxruntime", reason="the networks are ONNX")
-from remote_peers import SlowLink, asking, make_keys, served, serving  # noqa: E402
+from chunk_network import write_chunks  # noqa: E402
+from remote_peers import asking, make_keys, served, serving  # noqa: E402
 
+from tools.chunks.slow_link import SlowLink  # noqa: E402
 from unicon_core.policies.networks import remote_server  # noqa: E402
 from unicon_core.policies.networks.remote_server import PolicyServer  # noqa: E402
 
@@ -181,7 +184,9 @@ def test_what_is_said_wrong_is_refused(quick: Path, said: Any, told: str):
 
 def test_networks_that_no_server_runs_are_named(quick: Path, server: PolicyServer):
     contract = replace(load_policy(quick), model=quick / "policy.pt")
-    with pytest.raises(PolicyError, match=r"policy.pt: a server runs ONNX networks alone"):
+    with pytest.raises(
+        PolicyError, match=r"policy.pt: a server runs networks that say their sizes"
+    ):
         remote.contract_hash(contract)
     there = remote.RemoteNetwork(replace(load_policy(quick), child=RemoteSpec(server.address)))
     with closing(there), pytest.raises(PolicyError, match="free sizes; export it with fixed ones"):
@@ -256,6 +261,91 @@ def test_only_the_answer_to_the_newest_question_counts(quick: Path, wanted: str,
     assert found.sha256_commands == wanted
 
 
+class Garbling(PolicyServer):
+    """Answers with garbage alone from its sixth answer on: random, cut, of another question."""
+
+    def _send(self, name: bytes, kind: int, *given: Any) -> None:
+        if kind != remote.ANSWER or self.answered < 6:
+            super()._send(name, kind, *given)
+            return
+        body, number, ns = bytes(given[0]), *given[1:]
+        self._end.send([name, os.urandom(remote.HEAD.size), body])
+        for wrong in (body[:-1], b"", os.urandom(len(body)), np.full(24, np.nan).tobytes() + body):
+            super()._send(name, kind, wrong, number, ns)
+        super()._send(name, kind, body, number + 1, ns)
+
+
+class Silent(Garbling):
+    """Answers no more from its sixth answer on."""
+
+    def _send(self, name: bytes, kind: int, *given: Any) -> None:
+        if kind != remote.ANSWER or self.answered < 6:
+            PolicyServer._send(self, name, kind, *given)
+
+
+def holding(folder: Path, address: str, **more: Any) -> dict[str, Any]:
+    """Return a workflow with chunks of a server, that holds after an underrun."""
+    write_chunks(folder, period=0.02, hold=0.1, underrun="done")
+    flow = {"chain": [{"policy": "slow"}, "hold"]}
+    return asking(folder, address, rate=100, flow=flow, **more)
+
+
+def held(values: dict[str, Any], failing: Any = bool) -> None:
+    """Run it at real rate; the robot holds its place before an action is older than 0.25 s."""
+    ages, targets, said = [], [], list[str]()
+
+    def look() -> None:
+        ages.append(float(program.states["action_age"]))
+        targets.append(program.states["joint_pos_target"].copy())
+        failing(program.states["tick"])
+
+    program = Program(**values, deferred=[lambda: look()])
+    report = Runner(program, RunOptions(duration=0.8, warn=said.append)).run()
+    assert (report.faults, report.ended) == ([], "duration")
+    assert "the flow goes on (chunk.underrun)" in said[-1]
+    assert max(ages) <= 0.26  # 8 rows of 20 ms, the last one held for 0.1 s
+    np.testing.assert_array_equal(targets[60], targets[-1])
+    assert program.states["joint_stiffness"].min() > 0.0
+
+
+@pytest.mark.parametrize("kind", [Garbling, Silent])
+def test_chunks_of_a_server_that_fails_end_in_a_robot_that_stands(tmp_path: Path, kind: Any):
+    write_chunks(tmp_path, period=0.02)
+    with serving(tmp_path, kind=kind) as made:
+        held(holding(tmp_path, made.address))
+        assert made.answered >= 6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_chunks_of_a_server_that_is_gone_end_in_a_robot_that_stands(tmp_path: Path, number: int):
+    write_chunks(tmp_path, period=0.02)
+    with served(tmp_path) as (process, address):
+        held(holding(tmp_path, address), lambda t: t == 20 and process.send_signal(number))
+
+
+HUGE = [[["obs", "float32", [1 << 40]]], []]
+
+
+@pytest.mark.parametrize(
+    "said",
+    [b"", b"\xff", b"{}", b"[[], [], []]", b"[" * 100_000, *(json.dumps(s).encode() for s in (
+        HUGE, [[["obs", "what", [1]]], []], [[["obs", "float32", [-5]]], []], [[[1, 2, 3]], []],
+        [[["obs", "float32", [1.5]]], [["a", "object", [4]]]],
+    ))],
+)  # fmt: skip
+def test_a_server_that_describes_its_network_wrongly_is_refused(quick: Path, said: bytes):
+    class Lying(PolicyServer):
+        def _send(self, name: bytes, kind: int, *given: Any) -> None:
+            super()._send(name, kind, *((said,) if kind == remote.READY else given))
+
+    with (
+        serving(quick, kind=Lying) as made,
+        pytest.raises(PolicyError, match="does not say what its network takes and gives; run"),
+    ):
+        Program(**asking(quick, made.address))
+
+
 def test_strangers_disturb_nobody(quick: Path, wanted: str):
     """Garbage, cut messages and a flood that takes no answers reach the server beside a robot."""
     with serving(quick) as made, closing(raw(made.address)) as stranger:
@@ -266,7 +356,7 @@ def test_strangers_disturb_nobody(quick: Path, wanted: str):
                 assert stranger.poll(5000)
                 kind, _, _, theirs, _ = remote.unpacked(stranger.recv_multipart())
                 assert (kind, theirs) == (remote.REFUSED, digest)
-        size = child.layouts_of(*map(remote.blank, made._made[1:]))[0].nbytes
+        size = child.layouts_of(child.tensors_of(json.loads(made._ready)))[0].nbytes
         garbage: list[list[bytes]] = [[os.urandom(int(n))] for n in random.integers(0, 300, 1000)]
         garbage += [[b"UNICONP1" + os.urandom(56), b"?"] for _ in range(1000)]
         garbage += [remote.packed(digest, remote.QUESTION, b"x", n) for n in range(1000)]

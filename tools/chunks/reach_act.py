@@ -1,21 +1,35 @@
 """A toy of action chunks: ARX X5 reaches for goals, by an ACT of LeRobot's own class.
 
     python tools/chunks/reach_act.py OUT      # demonstrations, training, 20 goals; a JSON line
+    python tools/chunks/reach_act.py OUT --serve PYTHON --delay 0.08   # over `unicon serve`
+    python tools/chunks/reach_act.py OUT --serve PYTHON --fail stop    # of the server, on the way
 
-It needs a Python with `unicon_ros[sim,ik,lerobot,lerobot-policies]`. The demonstrations are the
-block `reach` with random goals, recorded and exported as a data set; the network sees the joints
-and the goal as environment state, no picture. Everything is trained here, on one thread.
+It needs a Python with `unicon_ros[sim,ik,bags,lerobot,lerobot-policies]`. The demonstrations are
+the block `reach` with random goals, recorded and exported as a data set; the network sees the
+joints and the goal as environment state, no picture. Everything is trained here, on one thread. A
+policy that is in OUT already is taken as it is.
+
+With `--serve` the named PYTHON alone needs `lerobot-policies`: it runs `unicon serve`, which the
+robot here asks.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
+import re
+import signal
+import subprocess
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from slow_link import SlowLink
 
+from unicon_base.resources import same_modules
 from unicon_core.flow.block import Writes
 
 ROWS, FPS, RATE = 10, 20, 100  # of a chunk, of the data set in [Hz], of the workflow in [Hz]
@@ -208,8 +222,14 @@ def train(data: dict[str, Any], folder: Path, steps: int) -> float:
     return loss.item()
 
 
-def reaching(folder: Path, **chunk: Any) -> dict[str, Any]:
-    """Return the workflow that runs the policy of a folder; the facts that it lacks are given."""
+def reaching(folder: Path, address: str = "", **chunk: Any) -> dict[str, Any]:
+    """Return the workflow that runs the policy of a folder; the facts that it lacks are given.
+
+    Args:
+        folder: of the policy.
+        address: of a server; "": in a child.
+        chunk: options of its chunks; the robot holds its place after an underrun.
+    """
     from unicon_core.robots import load_robot
 
     robot = load_robot("arx_x5")
@@ -219,18 +239,52 @@ def reaching(folder: Path, **chunk: Any) -> dict[str, Any]:
         "stiffness": robot.joint_stiffness.tolist(),
         "damping": robot.joint_damping.tolist(),
         "observation": {"terms": {"environment_state": {"state": "goal"}}},
-        **({"chunk": chunk} if chunk else {}),
+        "chunk": {"underrun": "done", **chunk},
     }
-    policies = {"reach": {"path": str(folder.resolve()), "child": True, "given": given}}
+    runs = {"remote": {"address": address}} if address else {"child": True}
+    policies = {"reach": {"path": str(folder.resolve()), "given": given, **runs}}
     return workflow(
         [goals(PAUSE, 99)],
-        [{"call": "reach_act:NoTorque"}, {"policy": "reach"}],
+        [{"chain": [{"zip": [{"call": "reach_act:NoTorque"}, {"policy": "reach"}]}, "hold"]}],
         policies=policies,
     )
 
 
-def evaluate(values: dict[str, Any], speed: Any) -> tuple[list[float], Any]:
-    """Run a workflow; how far the hand is from each goal when its time is over, in [m]."""
+@contextmanager
+def serving(python: str, folder: Path, delay: float) -> Iterator[tuple[Any, SlowLink]]:
+    """Run `unicon serve` in a process; yield it and the link to it.
+
+    Args:
+        python: that runs it.
+        folder: of the policy.
+        delay: of the link, there and back, in [s].
+    """
+    command = [python, "-m", "unicon_ros", "serve", str(folder), "--bind", "tcp://127.0.0.1:*"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=same_modules())
+    assert process.stdout is not None
+    try:
+        for line in process.stdout:
+            if found := re.search(r"tcp://\S+", line):
+                with closing(SlowLink(found[0], delay / 2)) as link:
+                    yield process, link
+                return
+        raise SystemExit(f"{' '.join(command)} ended with status {process.wait()}")
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def evaluate(
+    values: dict[str, Any], speed: Any, ticked: Callable[[Any], object] = bool, goals: int = GOALS
+) -> tuple[list[float], Any]:
+    """Run a workflow; how far the hand is from each goal when its time is over, in [m].
+
+    Args:
+        values: the workflow.
+        speed: of its run.
+        ticked: takes the states after each tick.
+        goals: so many.
+    """
     from unicon_core.runtime import Runner, RunOptions
     from unicon_core.workflow import Program
 
@@ -238,29 +292,79 @@ def evaluate(values: dict[str, Any], speed: Any) -> tuple[list[float], Any]:
 
     def look() -> None:
         ticks = int(states["tick"])
+        ticked(states)
         if ticks % round(PAUSE * RATE) == round(PAUSE * RATE) - 1:
             missed.append(float(np.linalg.norm(states["hand_pose"][:3] - states["goal"])))
 
     program = Program(**values, deferred=[lambda: look()])
     states = program.states
-    options = RunOptions(duration=(GOALS + 1) * PAUSE, speed=speed, warn=print)
+    options = RunOptions(duration=(goals + 1) * PAUSE, speed=speed, warn=print)
     report = Runner(program, options).run()
     return missed[1:], report
 
 
+class Failing:
+    """Lets a server fail amid a run, and looks at the robot from then on.
+
+    Attributes:
+        oldest: age of the oldest action that ran, in [s].
+        moved: how far a joint went in the last second, in [rad].
+    """
+
+    def __init__(self, kind: str, process: Any, link: SlowLink) -> None:
+        self._kind, self._process, self._link = kind, process, link
+        self._places: list[Any] = []
+        self.oldest = 0.0
+
+    def __call__(self, states: Any) -> None:
+        """Look after a tick."""
+        if states["tick"] == round(2.2 * PAUSE * RATE):
+            if self._kind == "garbage":
+                self._link.garbles = True
+            else:
+                number = {"kill": signal.SIGKILL, "stop": signal.SIGSTOP}[self._kind]
+                self._process.send_signal(number)
+        self.oldest = max(self.oldest, float(states["action_age"]))
+        self._places.append(states["joint_pos"].copy())
+
+    @property
+    def moved(self) -> float:
+        return float(np.ptp(self._places[-RATE:], axis=0).max())
+
+
 def main() -> None:
     """Demonstrate, train and evaluate."""
-    out = Path(sys.argv[1])
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("out", type=Path, help="folder of the data set and the policy")
+    parser.add_argument("--serve", metavar="PYTHON", help="runs the policy by `unicon serve`")
+    parser.add_argument("--delay", type=float, default=0.0, help="of the link to it in [s]")
+    parser.add_argument("--fail", choices=("kill", "stop", "garbage"), help="of the server")
+    said = parser.parse_args()
+    if (said.delay or said.fail) and not said.serve:
+        parser.error("--delay and --fail are of a server; add --serve PYTHON")
     sys.path.insert(0, str(Path(__file__).parent))
-    out.mkdir(parents=True, exist_ok=True)
-    dataset = demonstrate(out, 420.0)
-    loss = train(windows(dataset), out / "policy", 1200)
-    missed, report = evaluate(reaching(out / "policy"), "real")
-    found = {
-        "loss": loss,
+    policy: Path = said.out / "policy"
+    found: dict[str, Any] = {}
+    if not policy.is_dir():
+        said.out.mkdir(parents=True, exist_ok=True)
+        dataset = demonstrate(said.out, 420.0)
+        found["loss"] = train(windows(dataset), policy, 1200)
+    if not said.serve:
+        missed, report = evaluate(reaching(policy), "real")
+    else:
+        with serving(said.serve, policy, said.delay) as (process, link):
+            failing = Failing(said.fail, process, link) if said.fail else None
+            values = reaching(policy, link.address)
+            missed, report = evaluate(values, "real", failing or bool, 3 if failing else GOALS)
+        found |= {what: {k: round(v, 2) for k, v in times.items()}
+                  for what, times in report.extra["remote"]["reach"].items()}  # fmt: skip
+        if failing:
+            found |= {"oldest": failing.oldest, "moved": failing.moved}
+    found |= {
         "missed": [round(each, 4) for each in missed],
         "reached": sum(each < NEAR for each in missed),
         "goals": len(missed),
+        "ended": report.ended,
         "faults": report.faults,
     }
     print(json.dumps(found))

@@ -20,12 +20,11 @@ import numpy as np
 
 from unicon_base import Fault, PolicyError
 from unicon_core.policies.chunks import DELAY, PREFIX, ChunkSpec, Plan
-from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.contract import PolicyContract, RemoteSpec
 from unicon_core.policies.controller import PackedStates, PrefixedStates
 from unicon_core.policies.networks.child import ChildNetwork, Question
 from unicon_core.policies.networks.remote import RemoteNetwork
 from unicon_core.policies.policy import Policy
-from unicon_core.policies.remote_spec import RemoteSpec
 from unicon_core.robots import Robot
 
 AGE = "action_age"

@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from unicon_base import AnyMapping, PolicyError, alternatives
+from unicon_base import AnyDict, AnyMapping, PolicyError, alternatives
 from unicon_base.located_yaml import Located, read_yaml
 from unicon_base.packages import path_of, registered
 from unicon_base.resources import (
@@ -102,6 +102,38 @@ def load_policy(
         PolicyError: nothing there; facts missing (all are named) or contradictory; files missing.
     """
     return _contract(_read(reference, robot, given or {}, model))
+
+
+_OF_NETWORK = (
+    "schema name onnx torchscript networks sha256 inputs outputs recurrent feeds chunk provider"
+)
+# Stands for what only the robot's end needs.
+_UNSAID: AnyDict = {
+    "period": 0.01,
+    "joints": ["any"],
+    **dict.fromkeys(("default_joint_pos", "stiffness", "damping"), 0.0),
+    "action": {"scale": 1.0},
+    "observation": {"terms": [{"name": "any", "value": 0.0}]},
+}
+
+
+def load_network(reference: str | Path, provider: str | None = None) -> PolicyContract:
+    """Load what a server needs of a policy: its network, with the tensors that are named.
+
+    Pose, gains, period and terms of the contract say nothing: the source may lack them.
+
+    Args:
+        reference: as for `load_policy`.
+        provider: where the network runs, instead of what the policy says.
+
+    Raises:
+        PolicyError: as for `load_policy`, of the network alone.
+    """
+    facts = _read(reference, None, {} if provider is None else {"provider": provider})
+    words = _OF_NETWORK.split()
+    facts.values = _UNSAID | {key: said for key, said in facts.values.items() if key in words}
+    facts.asks = {key: what for key, what in facts.asks.items() if key in words}
+    return _contract(facts)
 
 
 def import_policy(

@@ -12,7 +12,7 @@ from math import prod
 from unicon_base import PolicyError
 from unicon_base.arrays import Array
 from unicon_core.policies.chunks import DELAY, PREFIX
-from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.contract import PolicyContract, RemoteSpec
 from unicon_core.policies.controller import PackedStates, PrefixedStates
 from unicon_core.policies.height_scan import HEIGHT_SCAN, HeightScan
 from unicon_core.policies.motion.follow import MotionClock
@@ -26,8 +26,17 @@ from unicon_core.policies.phase import (
     RollPitchYaw,
     derived_states,
 )
-from unicon_core.policies.remote_spec import TIMES, RemoteSpec
 from unicon_core.states import States, StateSpec, standard_states
+
+TIMES = {
+    "action_round_trip": StateSpec(
+        (), "float32", "s", "", (), "from the newest question to its answer, seen once a tick"
+    ),
+    "action_inference": StateSpec(
+        (), "float32", "s", "", (), "of that, time of the network by the server's clock"
+    ),
+}
+"""States of a policy at a server that hold wall-clock times; no replay repeats them."""
 
 
 def policy_states(

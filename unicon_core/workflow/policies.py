@@ -14,10 +14,10 @@ from unicon_core.flow import Block
 from unicon_core.models.find import model_of, pick_model
 from unicon_core.policies import Policy, PolicyContract, load_policy, policy_states
 from unicon_core.policies.action_map import lacking_joints
+from unicon_core.policies.contract import ChildSpec, RemoteSpec
 from unicon_core.policies.controller import ControllerContract, controller_contract, prefix_of
 from unicon_core.policies.policy import DrivenPolicy
 from unicon_core.policies.policy_states import states_of
-from unicon_core.policies.remote_spec import ChildSpec, RemoteSpec
 from unicon_core.robots import Robot
 from unicon_core.states import States, StateSpec
 from unicon_core.terrain.height_map import HEIGHT_MAP, Heights, MapHeights
@@ -82,8 +82,8 @@ def load_entry(
     if lacking and all(lacking_joints(contract, each) for each in robot.members.values()):
         raise PolicyError(f"{what}: {lacking}")
     child = ChildSpec() if values.child is True else values.child or values.remote
-    if isinstance(child, RemoteSpec):
-        child = child.within(document.path.parent)
+    if isinstance(child, RemoteSpec) and child.keys is not None:
+        child = replace(child, keys=(document.path.parent / child.keys).expanduser().resolve())
     return (contract if child is None else replace(contract, child=child)), values
 
 

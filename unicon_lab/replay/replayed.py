@@ -19,7 +19,7 @@ from unicon_base.arrays import Float64
 from unicon_core.flow import Block, Stage, blocks_of, compile_graph
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.memory import Snapshot
-from unicon_core.policies.remote_spec import TIMES
+from unicon_core.policies.policy_states import TIMES
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.phases import Phase
 from unicon_core.runtime.startup_sequence import approach_tree, waiting_tree

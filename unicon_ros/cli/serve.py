@@ -24,7 +24,7 @@ def serve(arguments: argparse.Namespace) -> int:
     """Run the command until a signal ends it; exit status 0."""
     import numpy as np
 
-    from unicon_core.policies import load_policy
+    from unicon_core.policies.load import load_network
     from unicon_core.policies.networks.remote_server import PolicyServer
     from unicon_core.runtime import percentiles
     from unicon_core.signals import SIGNALS
@@ -35,7 +35,8 @@ def serve(arguments: argparse.Namespace) -> int:
             f"--bind {arguments.bind}: other machines reach it; make keys (docs/howto/zmq.md) and "
             "give --keys FOLDER, or bind 127.0.0.1"
         )
-    server = PolicyServer(load_policy(arguments.policy), arguments.bind, arguments.keys)
+    contract = load_network(arguments.policy, arguments.provider)
+    server = PolicyServer(contract, arguments.bind, arguments.keys)
     console, counted = Console(), 0
 
     def inference() -> str:
@@ -67,6 +68,7 @@ add = command(
     "run a policy's network for robots that ask",
     __doc__,
     argument("policy", "POLICY", "name in config/policies/, a folder or file"),
+    argument("--provider", "NAME", "where it runs: cpu, cuda or tensorrt, instead of the policy's"),
     argument("--bind", "ADDRESS", "where it listens (%(default)s)", default="tcp://127.0.0.1:5560"),
     argument("--keys", "FOLDER", "its CURVE keys, for other machines", type=Path),
     **EXAMPLES,

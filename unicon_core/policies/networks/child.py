@@ -10,22 +10,25 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from typing import Any
+from dataclasses import astuple
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from unicon_base.arrays import Array, Float64
 from unicon_base.errors import Fault, PolicyError, UniconError
 from unicon_core.platforms.child.pipe import ALARM, LONGEST, Parent, Pipe, text_of
-from unicon_core.policies.contract import PolicyContract
-from unicon_core.policies.networks import Remembering, open_network
-from unicon_core.policies.networks.onnx_file import Arrays, Tensor
-from unicon_core.policies.remote_spec import ChildSpec
+from unicon_core.policies.contract import ChildSpec, PolicyContract
+from unicon_core.policies.networks import Network, Remembering, Tensor, open_network
+from unicon_core.policies.networks.onnx_file import Arrays
 from unicon_core.signals import SIGNALS
 from unicon_core.states import Layout, States, StateSpec
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter, remove_dead
+
+Sides: TypeAlias = tuple[tuple[Tensor, ...], ...]
+"""What a network takes and what it gives; () while it is bound to nothing."""
 
 QUESTION, ANSWER = "question", "answer"
 """Groups of the two segments."""
@@ -76,9 +79,8 @@ class ChildNetwork:
         self.what = f"policy {contract.name!r}"
         self.number = 0
         self._closed = False
-        self._names: tuple[tuple[str, ...], ...] = ()
-        self._segment: Segment | None = None
-        self._reader: ShmReader | None = None
+        self._sides: Sides = ()
+        self._ends: list[Segment | ShmReader] = []
         self._child_segment = ""
         self.pipe = Pipe(self.what, {"contract": contract}, _MODULE)
         self.process = self.pipe.process
@@ -88,8 +90,7 @@ class ChildNetwork:
         except BaseException:
             self.close()
             raise
-        self.inputs: tuple[Tensor, ...] = reply["inputs"]
-        self.outputs: tuple[Tensor, ...] = reply["outputs"]
+        self.inputs, self.outputs = reply["sides"]
         self.warnings: list[str] = reply["warnings"]
 
     def bind(self, inputs: Arrays, outputs: Arrays) -> Question:
@@ -99,34 +100,34 @@ class ChildNetwork:
             UniconError: the network cannot be bound to them.
             PolicyError: it has been bound to arrays of other shapes.
         """
-        names, layouts = (tuple(inputs), tuple(outputs)), layouts_of(inputs, outputs)
-        if not self._names:
-            self._names, self._layouts = names, layouts
+        sides = sides_of(inputs, outputs)
+        if not self._sides:
             try:
-                self._open()
+                self._open(sides)
             except BaseException:
                 self._release()
-                self._names = ()
                 raise
-        if (names, layouts) != (self._names, self._layouts):
+        if sides != self._sides:
             raise PolicyError(
                 f"{self.what}: its network in a child is bound to other sizes already; "
                 "leave out child"
             )
-        return Question(self, list(inputs.values()), list(outputs.values()))
+        return Question(self, inputs.values(), outputs.values())
 
-    def _open(self) -> None:
-        self.questions, self.answers = map(States, self._layouts)
+    def _open(self, sides: Sides) -> None:
+        self.questions, self.answers = map(States, layouts_of(sides))
         name = f"policy-{os.getpid()}-{id(self) & 0xFFFF:x}"
         self._child_segment = f"{name}-child"
-        self._segment = Segment.create(name, {QUESTION: self.questions.layout})
-        self.writer = ShmWriter(self._segment, QUESTION, self.questions)
-        layouts = (layout.to_json() for layout in self._layouts)
-        self.pipe.tell("bind", name, self._child_segment, *map(list, self._names), *layouts)
+        segment = Segment.create(name, {QUESTION: self.questions.layout})
+        self._ends.append(segment)
+        self.writer = ShmWriter(segment, QUESTION, self.questions)
+        self.pipe.tell("bind", name, self._child_segment, plain(sides))
         self.pipe.answer(START, SIGNALS.check)
-        self._reader = ShmReader(self._child_segment, ANSWER, self.answers)
-        self._segment.unlink()  # nobody else is to find them
-        self._reader.unlink()
+        self.reader = ShmReader(self._child_segment, ANSWER, self.answers)
+        self._ends.append(self.reader)
+        for end in self._ends:  # nobody else is to find them
+            end.unlink()
+        self._sides = sides
 
     def receive(self) -> None:
         """Look once a tick, whether an answer is due or not."""
@@ -144,12 +145,6 @@ class ChildNetwork:
         """Return times of answers in [ms] by name, for the report of a run; {} for none."""
         return {}
 
-    @property
-    def reader(self) -> ShmReader:
-        """What takes answers."""
-        assert self._reader is not None
-        return self._reader
-
     def close(self) -> None:
         """End the child; kill it where it hangs. Safe to call twice."""
         if not self._closed:
@@ -158,25 +153,77 @@ class ChildNetwork:
             self._release()
 
     def _release(self) -> None:
-        for part in (self._reader, self._segment):
-            if part is not None:
-                part.close()
+        while self._ends:
+            self._ends.pop().close()
         if self._child_segment:
             remove_dead(self._child_segment)
-        self._reader, self._segment, self._child_segment = None, None, ""
 
 
-def layouts_of(inputs: Arrays, outputs: Arrays) -> tuple[Layout, Layout]:
-    """Return the layouts of a question and of its answer."""
-    questions, answers = (
-        {"number": StateSpec((), "int64")}
-        | {
-            f"{prefix}{i}": StateSpec(array.shape, array.dtype.name)
-            for i, array in enumerate(arrays.values())
-        }
-        for prefix, arrays in (("x", inputs), ("y", outputs))
+def sides_of(*sides: Arrays) -> Sides:
+    """Return what a network is bound to, as tensors."""
+    return tuple(
+        tuple(Tensor(name, array.dtype.name, array.shape) for name, array in side.items())
+        for side in sides
     )
-    return Layout(questions | {"fresh": StateSpec((), "int32")}, None), Layout(answers, None)
+
+
+def plain(sides: Sides) -> Any:
+    """Return the tensors of both sides for JSON; `tensors_of` takes them back."""
+    return [[astuple(tensor) for tensor in side] for side in sides]
+
+
+def tensors_of(said: Any) -> Sides:
+    """Return the tensors of both sides that JSON says.
+
+    Raises:
+        TypeError, ValueError: it says something else.
+    """
+    inputs, outputs = ([Tensor(name, dtype, tuple(s)) for name, dtype, s in side] for side in said)
+    return tuple(inputs), tuple(outputs)
+
+
+def layouts_of(sides: Sides) -> list[Layout]:
+    """Return the layouts of a question and of its answer, for tensors of fixed sizes."""
+    asked, told = (
+        {"number": StateSpec((), "int64")}
+        | {f"x{i}": StateSpec(each.fixed, each.dtype) for i, each in enumerate(side)}
+        for side in sides
+    )
+    return [Layout(asked | {"fresh": StateSpec((), "int32")}, None), Layout(told, None)]
+
+
+class Bound:
+    """A network that is bound to a question and to its answer, for one robot.
+
+    Args:
+        network: it.
+        sides: its tensors, of fixed sizes.
+
+    Attributes:
+        asked, told: question and answer.
+        call: runs the network on them.
+    """
+
+    def __init__(self, network: Network, sides: Sides) -> None:
+        self.asked, self.told = both = [*map(States, layouts_of(sides))]
+        self.call = network.bind(
+            *(
+                {tensor.name: states[f"x{i}"] for i, tensor in enumerate(side)}
+                for side, states in zip(sides, both)
+            )
+        )
+        self._keeps = self.call if isinstance(self.call, Remembering) else None
+        self._fresh = self.asked["fresh"]
+        self._number, self._answered = self.asked["number"], self.told["number"]
+
+    def answer(self) -> None:
+        """Answer the question."""
+        if self._keeps and self._fresh:
+            self._keeps.reset()
+        self.call()
+        if self._keeps:
+            self._keeps.commit()
+        self._answered[...] = self._number
 
 
 class Question:
@@ -188,11 +235,11 @@ class Question:
         outputs: arrays that take the answer.
     """
 
-    def __init__(self, network: Any, inputs: list[Array], outputs: list[Array]) -> None:
+    def __init__(self, network: Any, inputs: Iterable[Array], outputs: Iterable[Array]) -> None:
         self._network, self._reader = network, network.reader
         asked, answer = network.questions, network.answers
         self._asked = [(asked[f"x{i}"], array) for i, array in enumerate(inputs)]
-        self._answers = [(array, answer[f"y{i}"]) for i, array in enumerate(outputs)]
+        self._answers = [(array, answer[f"x{i}"]) for i, array in enumerate(outputs)]
         self._number, self._fresh = asked["number"], asked["fresh"]
         self._answered = answer["number"]
         self._due, self._anew, self._awaited = 0, True, False
@@ -262,107 +309,67 @@ def main() -> int:
     """Run; 0 after an orderly end, 3 after a fault."""
     parent = Parent(START)
     contract: PolicyContract = parent.given["contract"]
+    what = f"policy {contract.name!r}"
     try:
-        warnings = _prepare(contract)
+        warnings = [f"{what}: {refused}" for refused in _prepare(contract)]
         network = open_network(contract)
-        parent.tell(inputs=network.inputs, outputs=network.outputs, warnings=warnings)
-        answering = _answering(parent, network)
+        parent.tell(sides=(network.inputs, network.outputs), warnings=warnings)
+        wishes: Any = []
+        while not wishes:
+            if wishes is None:
+                return 0
+            signal.alarm(round(START) + ALARM)
+            time.sleep(0.001)
+            wishes = parent.wishes()
+        _, theirs, own, sides = wishes[0]
+        bound = Bound(network, tensors_of(sides))
+        bound.call()  # the first call takes longest
+        reader = ShmReader(theirs, QUESTION, bound.asked)
+        reader.unlink()  # nothing is left of a parent that is killed from here on
+        segment = Segment.create(own, {ANSWER: bound.told.layout})
+        writer = ShmWriter(segment, ANSWER, bound.told)
+        parent.tell(bound=True)
     except UniconError as error:
         parent.tell(error=str(error)[:LONGEST], kind=type(error).__name__)
         return 1
     except Exception as error:
-        parent.tell(
-            error=f"policy {contract.name!r}: its process raised {text_of(error)}",
-            kind="PolicyError",
-        )
+        parent.tell(error=f"{what}: its process raised {text_of(error)}", kind="PolicyError")
         return 1
-    if answering is None:
-        return 0
     try:
-        answering.run(parent)
+        _run(parent, reader, bound, writer)
     except Exception as error:
-        parent.tell(fault=f"policy {contract.name!r}: its process raised {text_of(error)}")
+        parent.tell(fault=f"{what}: its process raised {text_of(error)}")
         return 3
     return 0
 
 
-def _prepare(contract: PolicyContract) -> list[str]:
-    """Go to the core that is wished; return what was refused."""
+def _prepare(contract: PolicyContract) -> Iterator[str]:
+    """Go to the core that is wished; yield what was refused."""
     assert isinstance(contract.child, ChildSpec)
     with suppress(OSError):  # being woken, it takes no core from the tick that woke it
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
-    cpu = contract.child.cpu
-    if cpu is None:
-        return []
-    try:
-        os.sched_setaffinity(0, {cpu})
-    except (OSError, AttributeError) as error:
-        last = (os.cpu_count() or 1) - 1
-        refused = f"core {cpu} refused ({error}); known: 0 to {last} (child.cpu)"
-        return [f"policy {contract.name!r}: {refused}"]
-    return []
+    if (cpu := contract.child.cpu) is not None:
+        try:
+            os.sched_setaffinity(0, {cpu})
+        except (OSError, AttributeError) as error:
+            last = (os.cpu_count() or 1) - 1
+            yield f"core {cpu} refused ({error}); known: 0 to {last} (child.cpu)"
 
 
-def _answering(parent: Parent, network: Any) -> _Answering | None:
-    """Bind the network as the parent says; None where it closes before."""
-    while True:
-        signal.alarm(round(START) + ALARM)
-        wishes = parent.wishes()
-        if wishes is None:
-            return None
-        for _, *given in wishes:
-            answering = _Answering(network, *given)
-            parent.tell(bound=True)
-            return answering
-        time.sleep(0.001)
-
-
-class _Answering:
-    """The network between both segments."""
-
-    def __init__(
-        self,
-        network: Any,
-        parent: str,
-        name: str,
-        inputs: list[str],
-        outputs: list[str],
-        questions: str,
-        answers: str,
-    ) -> None:
-        asked, told = States(Layout.from_json(questions)), States(Layout.from_json(answers))
-        self._call = network.bind(
-            {tensor: asked[f"x{i}"] for i, tensor in enumerate(inputs)},
-            {tensor: told[f"y{i}"] for i, tensor in enumerate(outputs)},
-        )
-        self._keeps = isinstance(self._call, Remembering)
-        self._call()  # the first call takes longest
-        self._number, self._fresh = asked["number"], asked["fresh"]
-        self._answered = told["number"]
-        self._reader = ShmReader(parent, QUESTION, asked)
-        self._reader.unlink()  # nothing is left of a parent that is killed from here on
-        self._segment = Segment.create(name, {ANSWER: told.layout})
-        self._writer = ShmWriter(self._segment, ANSWER, told)
-
-    def run(self, parent: Parent) -> None:
-        """Answer until the parent closes or dies."""
-        reader, call, looked = self._reader, self._call, 0.0
-        with np.errstate(all="ignore"):
-            while True:
-                signal.alarm(ALARM)  # the kernel ends a call that hangs, also without a parent
-                if reader.wait(_LOOK) and reader.take():
-                    if self._keeps and self._fresh:
-                        call.reset()
-                    call()
-                    if self._keeps:
-                        call.commit()
-                    self._answered[...] = self._number
-                    self._writer.publish()
-                now = time.monotonic()
-                if now - looked > _LOOK:
-                    looked = now
-                    if parent.wishes() is None or not reader.alive():
-                        return
+def _run(parent: Parent, reader: ShmReader, bound: Bound, writer: ShmWriter) -> None:
+    """Answer until the parent closes or dies."""
+    looked = 0.0
+    with np.errstate(all="ignore"):
+        while True:
+            signal.alarm(ALARM)  # the kernel ends a call that hangs, also without a parent
+            if reader.wait(_LOOK) and reader.take():
+                bound.answer()
+                writer.publish()
+            now = time.monotonic()
+            if now - looked > _LOOK:
+                looked = now
+                if parent.wishes() is None or not reader.alive():
+                    return
 
 
 if __name__ == "__main__":

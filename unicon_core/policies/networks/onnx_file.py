@@ -34,6 +34,11 @@ class Tensor:
         return bool(self.shape) and not isinstance(self.shape[0], int)
 
     @property
+    def fixed(self) -> tuple[int, ...]:
+        """The shape for one robot: free axes have length 1."""
+        return tuple(axis if isinstance(axis, int) else 1 for axis in self.shape)
+
+    @property
     def row(self) -> tuple[int | str, ...]:
         """Axes of one robot: all but the first one, which vectors and scalars have not."""
         return self.shape[1:] if len(self.shape) > 1 else self.shape

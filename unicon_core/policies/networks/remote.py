@@ -14,19 +14,20 @@ import os
 import struct
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
 import numpy as np
 
-from unicon_base import Fault, PolicyError
-from unicon_base.arrays import Array, Float64
+from unicon_base import Fault, PolicyError, UniconError
+from unicon_base.arrays import Float64
 from unicon_base.resources import sha256_of
-from unicon_core.policies.contract import PolicyContract
-from unicon_core.policies.networks.child import Question, layouts_of
-from unicon_core.policies.networks.onnx_file import Arrays, Tensor, read_onnx
-from unicon_core.policies.remote_spec import TIMES, RemoteSpec
+from unicon_core.policies.contract import PolicyContract, RemoteSpec
+from unicon_core.policies.networks.child import Question, Sides, layouts_of, sides_of, tensors_of
+from unicon_core.policies.networks.onnx_file import Arrays, read_onnx
+from unicon_core.policies.networks.torch import lerobot_files
+from unicon_core.policies.policy_states import TIMES
 from unicon_core.signals import SIGNALS
 from unicon_core.states import States
 from unicon_core.states.backends.zmq_socket import Endpoint
@@ -39,8 +40,6 @@ HELLO, READY, QUESTION, ANSWER, REFUSED = range(5)
 
 LARGEST = 1 << 26
 """Bytes of a message: three cameras of 640 × 480 in float32 take 11 MB."""
-LOOKS = 16
-"""Messages that are looked at in one go."""
 LONGEST = 1000
 """Bytes that are read of why a server refuses."""
 START = 3.0
@@ -55,19 +54,23 @@ def contract_hash(contract: PolicyContract) -> bytes:
     """Return what both ends compare: SHA-256 over the network and what it takes and gives.
 
     These are the files of the network with their tensors, and the contract's `inputs`, `outputs`,
-    `recurrent` and `feeds`. Pose, gains and terms are the client's alone.
+    `recurrent` and `feeds`; of LeRobot's folder its configuration and normalisation besides. Pose,
+    gains and terms are the client's alone.
 
     Raises:
         PolicyError: a file is missing or broken, or a TorchScript network.
     """
     said: list[Any] = [contract.inputs, contract.outputs, contract.recurrent, contract.feeds]
     said += [(part.name, part.feeds) for part in contract.networks]
-    for model in (contract.model, *(part.model for part in contract.networks)):
-        if not contract.is_onnx:
-            raise PolicyError(f"{model}: a server runs ONNX networks alone; export it as ONNX")
-        said += map(
-            sha256_of, (model, *(model.parent / name for name in read_onnx(model).external))
-        )
+    files = lerobot_files(contract.model.parent) if contract.is_lerobot else []
+    for model in () if files else (contract.model, *(part.model for part in contract.networks)):
+        if contract.is_torchscript:
+            raise PolicyError(
+                f"{model}: a server runs networks that say their sizes, ONNX and LeRobot's "
+                "folders; export it as ONNX"
+            )
+        files += [model, *(model.parent / name for name in read_onnx(model).external)]
+    said += map(sha256_of, files)
     return hashlib.sha256(json.dumps(said, default=str, sort_keys=True).encode()).digest()
 
 
@@ -112,11 +115,6 @@ def fill(states: States, body: bytes) -> bool:
     return fits
 
 
-def blank(tensors: Iterable[Tensor]) -> dict[str, Array]:
-    """Return arrays for tensors of fixed sizes."""
-    return {each.name: np.zeros([int(n) for n in each.shape], each.dtype) for each in tensors}
-
-
 class RemoteNetwork:
     """The network of a contract at a server, with the interface of a `ChildNetwork`.
 
@@ -146,28 +144,23 @@ class RemoteNetwork:
         self.number = self._number = 0  # of the newest question, and of the newest answer
         self._digest = contract_hash(contract)
         self._times: deque[tuple[float, float]] = deque(maxlen=KEPT)
-        self._refused, self._ready, self._new, self._sent_ns = "", b"", False, 0
+        self._refused, self._sides, self._new, self._sent_ns = "", Sides(), False, 0
         with patient_threads():
             self._end = Endpoint(
                 self.what, spec.address, publish=None, bind=False, size=LARGEST, keys=spec.keys
             )
-        self._socket, self._zmq = self._end.socket, self._end.zmq
         try:
             self._greet()
         except BaseException:
             self.close()
             raise
-        self.inputs, self.outputs = (
-            tuple(Tensor(name, dtype, tuple(shape)) for name, dtype, shape in side)
-            for side in json.loads(self._ready)
-        )
-        self._layouts = layouts_of(blank(self.inputs), blank(self.outputs))
-        self.questions, self.answers = map(States, self._layouts)
+        self.inputs, self.outputs = self._sides
+        self.questions, self.answers = map(States, layouts_of(self._sides))
 
     def _greet(self) -> None:
         """Say hello until the server is ready."""
         end = time.monotonic() + START
-        while not self._ready:
+        while not self._sides:
             SIGNALS.check()
             self._end.rejoin()
             self._send(HELLO)
@@ -187,19 +180,21 @@ class RemoteNetwork:
         Raises:
             PolicyError: the network has other sizes.
         """
-        asked, answered = blank(self.inputs) | {**inputs}, blank(self.outputs) | {**outputs}
-        if layouts_of(asked, answered) != self._layouts:
+        asked, answered = (
+            {each.name: np.zeros(each.fixed, each.dtype) for each in side} | {**arrays}
+            for side, arrays in zip(self._sides, (inputs, outputs))
+        )
+        if sides_of(asked, answered) != self._sides:
             raise PolicyError(f"{self.what}: its network has free sizes; export it with fixed ones")
-        return Question(self, [*asked.values()], [*answered.values()])
+        return Question(self, asked.values(), answered.values())
 
     def publish(self) -> None:
         """Send the question."""
         self._sent_ns = time.monotonic_ns()
         self._send(QUESTION, self.questions.buffer.data, self.number)
 
-    def _send(self, *given: Any) -> None:
-        with suppress(self._zmq.Again):  # nobody is there, or takes it: it is sent again
-            self._socket.send_multipart(packed(self._digest, *given), self._zmq.NOBLOCK)
+    def _send(self, *given: Any) -> None:  # what is lost is sent again
+        self._end.send(packed(self._digest, *given))
 
     def look(self) -> None:
         """Ask again where the answer takes long.
@@ -219,11 +214,8 @@ class RemoteNetwork:
             self._drain()
 
     def _drain(self) -> None:
-        for _ in range(LOOKS):
-            try:
-                self._hear(self._socket.recv_multipart(self._zmq.NOBLOCK))
-            except self._zmq.Again:
-                return
+        for message in self._end.received():
+            self._hear(message)
             if self._new:  # to find nothing more costs 45 µs
                 return
 
@@ -237,7 +229,16 @@ class RemoteNetwork:
                 f"policy {self._digest.hex()[:12]}…: give both the same network"
             )
         elif kind == READY:
-            self._ready = body
+            try:
+                self._sides = tensors_of(json.loads(body))
+                fits = max(each.nbytes for each in layouts_of(self._sides)) < LARGEST
+            except (ValueError, TypeError, RecursionError, UniconError):
+                fits = False
+            if not fits:
+                self._refused = (
+                    f"{self.what}: {self.culprit} does not say what its network takes and gives; "
+                    "run unicon serve of this version there"
+                )
         elif kind == REFUSED:
             text = " ".join(body[:LONGEST].decode(errors="replace").split())
             self._refused = f"{self.what}: {self.culprit}: {text}"
@@ -256,7 +257,7 @@ class RemoteNetwork:
 
     def wait(self, timeout: float) -> bool:
         """Return True when a message has come, False after `timeout` [s]."""
-        return bool(self._socket.poll(round(timeout * 1e3)))
+        return bool(self._end.socket.poll(round(timeout * 1e3)))
 
     def latency(self) -> dict[str, Float64]:
         """Return round trips and times of the network, of the newest answers in [ms]; or {}."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -132,12 +133,12 @@ class TorchMemory:
 
     def __init__(self, torch: Any, module: Any) -> None:
         self._torch = torch
-        self._in_place: list[tuple[Any, Any, Any]] = []  # of the module, kept, at the beginning
-        self._set: list[tuple[Any, str, Any]] = []  # owner, name, at the beginning
+        self._places: list[tuple[Any, str]] = []
         self.names: list[str] = []
+        found = []
         weights = {parameter.data_ptr() for parameter in module.parameters()}
         with torch.inference_mode():
-            for path, is_set in sorted(_written(module).items()):
+            for path in sorted(_written(module)):
                 owner = module
                 for part in path[:-1]:
                     owner = getattr(owner, part)
@@ -146,11 +147,9 @@ class TorchMemory:
                 if isinstance(tensors, list) and tensors and _all_of(weights, tensors):
                     continue  # what only looks as if it were written: the graph cannot tell
                 self.names.append(".".join(path))
-                if is_set or not isinstance(value, torch.Tensor):
-                    self._set.append((owner, path[-1], copy.deepcopy(value)))
-                else:
-                    self._in_place.append((value, value.clone(), value.clone()))
-            self._kept = [copy.deepcopy(value) for _, _, value in self._set]
+                self._places.append((owner, path[-1]))
+                found.append(value)
+            self._kept = self._first = copy.deepcopy(found)
 
     def __call__(self) -> None:
         self.run()
@@ -158,30 +157,22 @@ class TorchMemory:
     def share(self) -> TorchMemory:
         """Return another memory of the same module, at its beginning."""
         other = copy.copy(self)
-        other._in_place = [(live, first.clone(), first) for live, _, first in self._in_place]
         other.reset()
         return other
 
     def recall(self) -> None:
         """Give the module what is kept; call it in inference mode."""
-        for live, kept, _ in self._in_place:
-            live.copy_(kept)
-        for (owner, name, _), value in zip(self._set, self._kept):
-            setattr(owner, name, copy.deepcopy(value))
+        for place, value in zip(self._places, copy.deepcopy(self._kept)):
+            setattr(*place, value)
 
     def commit(self) -> None:
         """Keep what the last call left."""
         with self._torch.inference_mode():
-            for live, kept, _ in self._in_place:
-                kept.copy_(live)
-            self._kept = [copy.deepcopy(getattr(owner, name)) for owner, name, _ in self._set]
+            self._kept = copy.deepcopy([getattr(*place) for place in self._places])
 
     def reset(self) -> None:
         """Keep what was there at the beginning."""
-        with self._torch.inference_mode():
-            for _, kept, initial in self._in_place:
-                kept.copy_(initial)
-            self._kept = [copy.deepcopy(value) for _, _, value in self._set]
+        self._kept = self._first
 
     def save(self) -> Any:
         """Return what is kept, as arrays; `load` takes it back."""
@@ -190,7 +181,7 @@ class TorchMemory:
         def plain(value: Any) -> Any:
             return value.detach().cpu().numpy().copy() if isinstance(value, tensor) else value
 
-        return _each([[kept for _, kept, _ in self._in_place], self._kept], plain)
+        return _each(self._kept, plain)
 
     def load(self, saved: Any) -> None:
         """Keep what another one did."""
@@ -199,10 +190,7 @@ class TorchMemory:
         def tensor(value: Any) -> Any:
             return torch.from_numpy(value.copy()) if isinstance(value, np.ndarray) else value
 
-        fixed, self._kept = _each(saved, tensor)
-        with torch.inference_mode():
-            for (_, kept, _), value in zip(self._in_place, fixed):
-                kept.copy_(value)
+        self._kept = _each(saved, tensor)
 
 
 def _each(value: Any, change: Callable[[Any], Any]) -> Any:
@@ -214,18 +202,15 @@ def _each(value: Any, change: Callable[[Any], Any]) -> Any:
     return change(value)
 
 
-def _written(module: Any) -> dict[tuple[str, ...], bool]:
-    """Return the attributes that a call writes, as paths, and whether it sets them."""
+def _written(module: Any) -> set[tuple[str, ...]]:
+    """Return the attributes that a call writes, as paths."""
     graph = module.inlined_graph
     aliases = graph.alias_db()
-    found: dict[tuple[str, ...], bool] = {}
-    for node in graph.findAllNodes("prim::GetAttr"):
-        value = node.output()
-        if value.type().kind() != "ClassType" and aliases.has_writers(value):
-            found[_path(node)] = False
-    for node in graph.findAllNodes("prim::SetAttr"):
-        found[_path(node)] = True
-    return found
+    return {_path(node) for node in graph.findAllNodes("prim::SetAttr")} | {
+        _path(node)
+        for node in graph.findAllNodes("prim::GetAttr")
+        if node.output().type().kind() != "ClassType" and aliases.has_writers(node.output())
+    }
 
 
 def _all_of(known: set[int], values: list[Any]) -> bool:
@@ -244,6 +229,18 @@ def _path(node: Any) -> tuple[str, ...]:
 
 EXTRA = "lerobot-policies"
 _STEPS = ("policy_preprocessor.json", "policy_postprocessor.json")
+
+
+def lerobot_files(folder: Path) -> list[Path]:
+    """Return what LeRobot reads of a folder: configuration, pipelines, network, normalisation.
+
+    Raises:
+        PolicyError: the folder has no pipelines.
+    """
+    files = [folder / name for name in ("config.json", *_STEPS)]
+    if lost := [path for path in files if not path.is_file()]:
+        raise PolicyError(f"{lost[0]}: no such file; copy the whole folder, as LeRobot saved it")
+    return [*files, *sorted(folder.glob("*.safetensors"))]
 
 
 class LerobotNetwork:

@@ -23,7 +23,7 @@ from pathlib import Path
 
 from unicon_base.errors import StateError
 from unicon_core.non_blocking_writer import NonBlockingWriter
-from unicon_core.states.backends.zmq_socket import SILENCE, Endpoint, Freshness
+from unicon_core.states.backends.zmq_socket import LOOKS, SILENCE, Endpoint, Freshness
 from unicon_core.states.groups import Copies, difference, groups_from_json, groups_hash, groups_json
 from unicon_core.states.layout import Layout
 from unicon_core.states.states import States
@@ -41,10 +41,6 @@ WORDS = 500_000_000
 """ns from one time at which the layout is told in words to the next: at the first value, and then
 in each value of WINDOW ns, since a reader looks at some values only."""
 WINDOW = 25_000_000
-
-LOOKS = 16
-"""Messages that are looked at in one go: with more writers than that, all wrong, a good value may
-wait for the next go, and no tick waits for a flood."""
 
 LAYOUT_FACTOR, LAYOUT_SPARE = 8, 4096
 """A foreign layout is read up to so many times the length of the reader's own, and so many bytes:

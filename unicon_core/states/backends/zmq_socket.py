@@ -12,6 +12,7 @@ import errno
 import ipaddress
 import os
 import socket as sockets
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +27,9 @@ PATIENCE = 2.0
 """s until a peer that answers no heartbeat, handshake or connection is given up and tried anew."""
 
 RECONNECT = 0.1  # s between two tries
+LOOKS = 16
+"""Messages that are looked at in one go: with more writers than that, all wrong, a good value may
+wait for the next go, and no tick waits for a flood."""
 KEPT = 8  # messages of a dialogue that wait at each end
 BUFFER = 1 << 16
 """B that the kernel keeps on the way, at least: more of it is only older values after a cut."""
@@ -160,6 +164,17 @@ class Endpoint:
             with suppress(OSError):  # it has gone again
                 os.chmod(path, 0o600)
                 self._file = path, os.stat(path).st_ino
+
+    def send(self, parts: list[Any]) -> None:
+        """Send a message of a dialogue; drop it where nobody is there, or has room for it."""
+        with suppress(self.zmq.ZMQError):
+            self.socket.send_multipart(parts, self.zmq.NOBLOCK)
+
+    def received(self) -> Iterator[list[bytes]]:
+        """Yield the messages of a dialogue that have come, at most `LOOKS`."""
+        with suppress(self.zmq.Again):
+            for _ in range(LOOKS):
+                yield self.socket.recv_multipart(self.zmq.NOBLOCK)
 
     def rejoin(self) -> None:
         """Connect anew where somebody without our keys was at the address.
