@@ -214,6 +214,17 @@ def test_a_missing_command_is_told() -> None:
     )
 
 
+def test_a_missing_rate_is_told_with_its_policy(tmp_path: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    write_linear(tmp_path / "policy.onnx", 15, 4)
+    contract = load_policy(
+        write_toy(tmp_path, toy_values(phase={"period": 1.0, "rate": {"state": "tempo"}}))
+    )
+    states = States({**standard_states(JOINTS), **policy_states(contract, robot().joint_names)})
+    with pytest.raises(PolicyError, match=r"policy toy: gait phase: its rate takes .* 'tempo', which"):
+        Policy(contract, states, robot())
+
+
 def test_the_policy_block_runs_its_own_clock(tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     write_linear(tmp_path / "policy.onnx", 16, 4)

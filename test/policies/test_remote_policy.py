@@ -202,6 +202,19 @@ def test_a_network_runs_in_one_place(quick: Path, server: PolicyServer):
         Program(**asking(quick, server.address, num_robots=2))
 
 
+@pytest.mark.parametrize("key", ["child", "remote"])
+def test_further_outputs_are_refused_by_the_key_that_is_there(
+    quick: Path, tmp_path: Path, server: PolicyServer, key: str
+):
+    values = yaml.safe_load((quick / "policy.yaml").read_text("utf-8"))
+    values["action"]["extra"] = "pace"
+    (tmp_path / "policy.yaml").write_text(yaml.safe_dump(values), "utf-8")
+    (tmp_path / "policy.onnx").write_bytes((quick / "policy.onnx").read_bytes())
+    said = workflow(tmp_path, True) if key == "child" else asking(tmp_path, server.address)
+    with pytest.raises(PolicyError, match=f"action.extra does not go with {key}; run it in the"):
+        Program(**said)
+
+
 def test_check_names_an_address_without_keys(
     quick: Path, server: PolicyServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from policy_helpers import robot, toy_values, write_linear, write_toy
 
+from unicon_base.errors import PolicyError
 from unicon_core.policies import (
     joint_table,
     load_policy,
@@ -50,6 +51,18 @@ def write(tmp_path: Path) -> Path:
 def test_the_joint_table_shows_order_gains_and_held_joints(tmp_path: Path) -> None:
     contract = load_policy(write(tmp_path))
     assert joint_table(contract, robot(("head", "a_hip", "a_knee", "b_hip"))) == JOINTS
+
+
+def test_a_term_of_another_policys_action_needs_a_workflow(tmp_path: Path) -> None:
+    values = toy_values()
+    values["observation"]["terms"][1]["state"] = "walk_action"
+    contract = load_policy(write_toy(tmp_path, values))
+    told = (
+        "policy toy: term 'joint_pos': state 'walk_action' is neither standard nor its own; .*; "
+        "where a workflow has it, such as another policy's last action: unicon show WORKFLOW"
+    )
+    with pytest.raises(PolicyError, match=told):
+        policy_table(contract)
 
 
 def test_the_observation_table_shows_sources_slices_and_numbers(tmp_path: Path) -> None:

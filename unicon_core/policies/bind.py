@@ -258,8 +258,8 @@ class Binding:
         joints, extra = self.contract.action.joints, self.contract.action.extra
         tensor = self.tensors["output"].get(self.contract.outputs.get("action", ""))
         if tensor is not None and extra is not None:
-            if self.contract.child is not None:
-                raise self._fail("action.extra does not go with child; run it in the tick")
+            if (child := self.contract.child) is not None:
+                raise self._fail(f"action.extra does not go with {child.key}; run it in the tick")
             if not isinstance(tensor.width, int) or tensor.width <= len(joints):
                 raise self._fail(
                     f"action.extra is {extra!r}, and the output {tensor} has no more than the "

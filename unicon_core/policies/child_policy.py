@@ -83,7 +83,7 @@ class ChildPolicy(Policy):
         self._ends, self._tell = chunk is not None and chunk.underrun == "done", tell
         due = max(spec.delay, self._plan.steps)  # a new observation goes when the last is answered
         oldest = (spec.delay + -(-due // self._every) * self._every - 1) * period
-        self._timeout, key = spec.timeout or max(TIMEOUT, 2.0 * oldest), f"{kind.key}.timeout"
+        self._timeout, key = spec.timeout or max(TIMEOUT, 2.0 * oldest), f"{spec.key}.timeout"
         if chunk is not None:
             end = (self._plan.ticks - 1) * period + chunk.hold
             if spec.timeout is None or end < spec.timeout:
@@ -97,7 +97,7 @@ class ChildPolicy(Policy):
         if states.num_robots is not None:
             raise PolicyError(
                 f"policy {contract.name}: in a child it drives one robot, not num_robots "
-                f"{states.num_robots}; leave out {kind.key}"
+                f"{states.num_robots}; leave out {spec.key}"
             )
         mine = network is None
         self.network: Any = network or kind(contract)
@@ -106,7 +106,7 @@ class ChildPolicy(Policy):
             if self._motion:
                 raise PolicyError(
                     f"policy {contract.name}: its network gives the motion that it follows, "
-                    f"which would come late from a child; leave out {kind.key}, or give motion.file"
+                    f"which would come late from a child; leave out {spec.key}, or give motion.file"
                 )
         except BaseException:
             if mine:

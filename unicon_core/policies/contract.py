@@ -167,8 +167,7 @@ class ActionSpec:
         kinds: what each joint is given: a `position` in [rad], a `velocity` in [rad/s] or a
             `torque` in [N·m]; empty where all are positions.
         filter: of the clipped action, or None.
-        extra: state that takes the output's values beyond those of the joints, such as the rate of
-            a clock; or None.
+        extra: state that takes the output's values beyond those of the joints, or None.
     """
 
     joints: tuple[str, ...]
@@ -272,8 +271,8 @@ class LateSpec:
 
     Attributes:
         delay: ticks of the workflow from an observation to its action; more where it comes late.
-        timeout: an action whose observation is older ends the run, in [s]; None: the longer of a
-            quarter of a second and twice the age that actions have by their delay.
+        timeout: an action whose observation is older ends the run, in [s]; None: twice the age
+            that actions have by their delay, at least 0.25.
     """
 
     delay: Annotated[int, Within(1, 1000, "ticks")] = 1
@@ -282,13 +281,14 @@ class LateSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class ChildSpec(LateSpec):
-    """How a network runs in a process of its own.
+    """How a network runs in a process of its own, which the workflow says.
 
     Attributes:
         cpu: core that the process stays on, or None.
         threads: of the network.
     """
 
+    key = "child"  # of the workflow's options
     cpu: Core | None = None
     threads: Annotated[int, Within(1, 64)] = 1
 
@@ -302,7 +302,7 @@ class RemoteSpec(LateSpec):
         keys: folder with its CURVE key and ours, from the workflow's folder on; None: without.
     """
 
-    threads = 1  # of a network that a tool opens here
+    key, threads = "remote", 1  # threads: of a network that a tool opens here
     address: Annotated[
         str, Matches(r"tcp://[^\s/*]+:[0-9]{1,5}|ipc://\S+", "tcp://HOST:PORT, or ipc://PATH")
     ]

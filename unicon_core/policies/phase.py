@@ -46,6 +46,7 @@ class GaitPhase:
         spec: of the contract.
         states: with the phase states (`policy_states` declares them) and the command state.
         period: control period in [s].
+        what: it is, for messages.
 
     Attributes:
         phase: the phases in [rad], shape (rows, k), float64.
@@ -58,14 +59,16 @@ class GaitPhase:
 
     name = "gait_phase"
 
-    def __init__(self, spec: PhaseSpec, states: PackedStates, period: float) -> None:
+    def __init__(
+        self, spec: PhaseSpec, states: PackedStates, period: float, what: str = "gait phase"
+    ) -> None:
         count = len(spec.offsets)
         rows = states.num_robots or 1
         sizes = {"gait_phase_sin": count, "gait_phase_cos": count, "gait_phase": 2 * count}
         for name, size in sizes.items():
             if name not in states or states[name].size != rows * size:
                 raise PolicyError(
-                    f"gait phase: state {name!r} must be declared with {size} elements; "
+                    f"{what}: state {name!r} must be declared with {size} elements; "
                     "policy_states gives it"
                 )
         self.reads: tuple[str, ...] = ()
@@ -86,10 +89,12 @@ class GaitPhase:
         self._standing = np.zeros(rows, bool)
         self._rate, self._shift = rate, shift = spec.rate, spec.shift
         if rate is not None:
-            self._rates = self._view(states, "rate", rate.state, rate.index)[:, rate.index, None]
+            self._rates = self._view(states, what, "rate", rate.state, rate.index)[
+                :, rate.index, None
+            ]
         if shift is not None:
             self._used = used = sorted({place for places in shift.index for place in places})
-            self._shifts = self._view(states, "shift", shift.state, max(used, default=0))
+            self._shifts = self._view(states, what, "shift", shift.state, max(used, default=0))
             self._sums = np.zeros((len(used), count))
             for i, places in enumerate(shift.index):
                 for place in places:
@@ -97,18 +102,18 @@ class GaitPhase:
         if spec.stand is not None:
             if spec.command not in states or states[spec.command].size != rows * 3:
                 raise PolicyError(
-                    f"gait phase: it stands still while state {spec.command!r} (vx, vy, wz) is "
+                    f"{what}: it stands still while state {spec.command!r} (vx, vy, wz) is "
                     "zero, and there is no such state of 3 elements; correct phase.command"
                 )
             self.reads += (spec.command,)
             self._command = states[spec.command].reshape(rows, 3)
 
-    def _view(self, states: PackedStates, key: str, name: str, highest: int) -> Float32:
+    def _view(self, states: PackedStates, what: str, key: str, name: str, highest: int) -> Float32:
         rows = len(self.phase)
         if name not in states or states[name].size <= highest * rows:
             raise PolicyError(
-                f"gait phase: its {key} takes element {highest} of state {name!r}, which is not "
-                f"there; correct phase.{key}"
+                f"{what}: its {key} takes element {highest} of state {name!r}, which is not there; "
+                f"correct phase.{key}"
             )
         self.reads += (name,)
         return states[name].reshape(rows, -1)

@@ -139,7 +139,8 @@ class Policy:
         self._actions = fed_back(contract, states)
         self.phase: GaitPhase | None = None
         if contract.phase is not None and "gait_phase" in states:
-            self.phase = GaitPhase(contract.phase, states, contract.period)
+            what = f"policy {contract.name}: gait phase"
+            self.phase = GaitPhase(contract.phase, states, contract.period, what)
         angles = RollPitchYaw(states) if RPY in derived_states(contract) else None
         scan = None
         if contract.height_scan is not None and ground is not None:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from itertools import groupby
 
-from unicon_base import AnyDict, PolicyError
+from unicon_base import AnyDict, PolicyError, alternatives
 from unicon_base.arrays import Float32
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.controller import PackedStates
 from unicon_core.policies.load import load_policy, policy_names
-from unicon_core.policies.policy_states import policy_states
+from unicon_core.policies.policy_states import policy_states, states_of
 from unicon_core.policies.terms import TermSlice, term_slices
 from unicon_core.robots import Robot
 from unicon_core.states import States, standard_states
@@ -173,7 +173,15 @@ def observation_rows(
     """
     joints: Sequence[str] = contract.joints if robot is None else robot.joint_names
     if states is None:
-        states = States({**standard_states(joints), **policy_states(contract, joints)})
+        known = {**standard_states(joints), **states_of(contract)}
+        for term in contract.terms:
+            if term.state not in known:
+                raise PolicyError(
+                    f"policy {contract.name}: term {term.name!r}: state {term.state!r} is neither "
+                    f"standard nor its own; {alternatives(term.state, known)}; where a workflow "
+                    "has it, such as another policy's last action: unicon show WORKFLOW"
+                )
+        states = States({**known, **policy_states(contract, joints)})
     slices = term_slices(contract, states, joints)
     rows = [["term", "state", "slice", "subtract", "scale", "clip", "history", "unit"]]
     for part, where in zip(slices, input_places(contract, slices)):

@@ -63,7 +63,6 @@ class ChildNetwork:
     Attributes:
         inputs, outputs: tensors of the network.
         process: the child.
-        key: of the workflow's options.
         culprit: what has to answer, for messages.
         measured: states of the policy that the network gives beside its outputs.
 
@@ -72,7 +71,6 @@ class ChildNetwork:
         PolicyError: the child did not start.
     """
 
-    key = "child"
     measured: Mapping[str, Array] = {}
 
     def __init__(self, contract: PolicyContract) -> None:

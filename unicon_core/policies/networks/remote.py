@@ -131,7 +131,6 @@ class RemoteNetwork:
         StateError: a key is missing.
     """
 
-    key = "remote"
     warnings = ()
 
     def __init__(self, contract: PolicyContract) -> None:
