@@ -11,16 +11,21 @@ cores, as others took the machine or did not, which is what a p99 is made of.
 
 The usual way is that of most deployment scripts: scaled terms, `np.concatenate`, `np.clip`,
 `session.run`, `time.sleep`. Network 45 → 512 → 256 → 128 → 12, one thread on both sides. Rounds are
-interleaved. The tick of `unicon run --native` stands beside the network alone in the same loop.
+interleaved. The tick of `unicon run --native` stands beside the network alone in the same loop. The
+tick of a policy by chunks, 100 Hz, stands beside the same one whose answers come from no process.
 """
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections import deque
 from collections.abc import Callable
+from contextlib import closing
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +37,12 @@ from unicon_core.models.load import load_model
 from unicon_core.models.terrain import RayHeights, SceneGround, load_on
 from unicon_core.native.tick import NativeTick
 from unicon_core.policies import Observation, Policy, PolicyContract, policy_states
+from unicon_core.policies.child_policy import ChildPolicy
+from unicon_core.policies.chunks import ChunkSpec
+from unicon_core.policies.contract import ChildSpec
 from unicon_core.policies.height_scan import HEIGHT_SCAN, HeightScan, HeightScanSpec
+from unicon_core.policies.networks.child import ChildNetwork, Question, layouts_of, sides_of
+from unicon_core.policies.networks.onnx_file import Arrays
 from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime import Pacing, WallClock, WarmUp, prepare_process
 from unicon_core.states import States, standard_states
@@ -89,6 +99,9 @@ HISTORY = 6
 USUAL, OURS = "policy tick, usual", "policy tick, unicon"
 NATIVE = "policy tick, native"
 ALONE = "network alone, in our loop"
+CHUNK_RATE = 100.0  # Hz
+CHUNK = ChunkSpec(10, steps=5)
+BESIDE, BESIDE_NONE = "tick of chunks, beside a child", "tick of chunks, beside none"
 
 
 def run_policy(rounds: int | None = None) -> Bench:
@@ -105,6 +118,7 @@ def run_policy(rounds: int | None = None) -> Bench:
         _observations(bench, robot, contract, longer)
         _ticks(bench, robot, contract)
         _memory(bench, robot, contract, Path(folder) / "recurrent")
+        _chunks(bench, robot, Path(folder) / "chunks")
     _scans(bench, robot)
     return bench
 
@@ -207,6 +221,72 @@ def _memory(bench: Bench, robot: Robot, contract: PolicyContract, folder: Path) 
     for _ in range(bench.rounds):
         times.take(calls, WARM_CALLS // 20, 20)
     times.add_to(bench, ("policy_recurrent", "policy call, recurrent", "policy call", 1.3))
+
+
+class AtOnce(ChildNetwork):
+    """In place of a child: zeros are there as soon as they are asked for, from no process.
+
+    Args:
+        child: whose network it stands for.
+    """
+
+    def __init__(self, child: ChildNetwork) -> None:
+        self.what, self.culprit, self.number, self.warnings = child.what, "nobody", 0, []
+        self.inputs, self.outputs = child.inputs, child.outputs
+        self.reader: Any = self
+        self.writer: Any = self
+
+    def bind(self, inputs: Arrays, outputs: Arrays) -> Question:
+        """Bind as a child does."""
+        self.questions, self.answers = map(States, layouts_of(sides_of(inputs, outputs)))
+        return Question(self, inputs.values(), outputs.values())
+
+    def publish(self) -> None:
+        """Answer."""
+        self.answers["number"] = self.number
+
+    def take(self) -> bool:
+        """Say that the answer is there."""
+        return True
+
+    def look(self) -> None:
+        """Miss nobody."""
+
+    def close(self) -> None:
+        """End nobody."""
+
+
+def _chunks(bench: Bench, robot: Robot, folder: Path) -> None:
+    """A policy by chunks at 10 Hz: its tick beside a child at work, and the same beside none.
+
+    The tick has a core of its own and the child another one.
+    """
+    cores = sorted(os.sched_getaffinity(0))
+    if len(cores) < 2:
+        return
+    contract = random_policy(folder, robot, hidden=(2048,) * 4, chunk=CHUNK.size)
+    contract = replace(contract, child=ChildSpec(cpu=cores[-1]), chunk=CHUNK)
+    given: Any = {"period": 1.0 / CHUNK_RATE, "paced": lambda: True}
+    child = ChildPolicy(contract, _states(contract, robot), robot, **given)
+    with closing(child):
+        given["network"] = AtOnce(child.network)
+        alone = ChildPolicy(contract, _states(contract, robot), robot, **given)
+        times = Samples()
+        os.sched_setaffinity(0, {cores[0]})
+        try:
+            for number in range(bench.rounds):
+                for name, policy in [(BESIDE, child), (BESIDE_NONE, alone)][:: 1 - number % 2 * 2]:
+                    policy.reset()
+                    loop = _ours(round(CHUNK_RATE * SECONDS), CHUNK_RATE, policy, policy.warm_up)
+                    times.add(name, loop.took)
+                    times.add(f"{name}: wakes late", loop.late)
+        finally:
+            os.sched_setaffinity(0, cores)
+        bench.facts["chunk_tick_p99, answers of the child"] = child.network.number
+    times.add_to(bench)
+    ratios = times.ratios(BESIDE, BESIDE_NONE, percent=99)
+    bench.ratio("chunk_tick_p99", float(np.median(ratios)), 1.1)
+    bench.facts["chunk_tick_p99, 95 % interval"] = interval(ratios)
 
 
 def _scans(bench: Bench, robot: Robot) -> None:

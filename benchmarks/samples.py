@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -174,7 +174,12 @@ CLIP = 100.0
 
 
 def random_policy(
-    folder: Path, robot: Robot, history: int = 1, recurrent: bool = False
+    folder: Path,
+    robot: Robot,
+    history: int = 1,
+    recurrent: bool = False,
+    hidden: Sequence[int] = HIDDEN,
+    chunk: int = 1,
 ) -> PolicyContract:
     """Write and load a multilayer perceptron with ELU layers and a dynamic batch axis.
 
@@ -183,6 +188,8 @@ def random_policy(
         robot: its joints are the policy's, in their order.
         history: frames of every term.
         recurrent: whether the last hidden layer adds a product with what it was a tick before.
+        hidden: sizes of the hidden layers.
+        chunk: rows of an answer.
 
     Raises:
         MissingDependencyError: the package onnx, which writes the file, is absent.
@@ -191,27 +198,31 @@ def random_policy(
     from onnx import numpy_helper, parser
 
     n = robot.num_joints
-    sizes = [(9 + 3 * n) * history, *HIDDEN, n]
+    sizes = [(9 + 3 * n) * history, *hidden, n * chunk]
     random, arrays, steps, last = np.random.default_rng(0), {}, list[str](), "obs"
     for i, (rows, columns) in enumerate(pairwise(sizes)):
         arrays[f"w{i}"] = random.normal(0.0, 0.5 / np.sqrt(rows), (rows, columns))
         arrays[f"b{i}"] = np.zeros(columns)
-        out = f"h{i}" if i < len(HIDDEN) else "actions"
+        out = f"h{i}" if i < len(hidden) or chunk > 1 else "actions"
         steps.append(f"{out} = Gemm ({last}, w{i}, b{i})")
-        if recurrent and i == len(HIDDEN) - 1:
+        if recurrent and i == len(hidden) - 1:
             # Random as well, and it shrinks what it is multiplied with.
             square = 0.5 / np.sqrt(columns), (columns, columns)
             arrays["u"] = np.random.default_rng(1).normal(0.0, *square)
             steps += ["before = MatMul (h_in, u)", f"sum = Add ({out}, before)"]
             out = "sum"
-        if i < len(HIDDEN):
+        if i < len(hidden):
             last = f"e{i}"
             steps.append(f"{last} = Elu ({out})")
     given, told = f"float[batch,{sizes[0]}] obs", f"float[batch,{n}] actions"
+    if chunk > 1:
+        shape = f"shape = Constant <value_ints = [1, {chunk}, {n}]> ()"
+        steps += [shape, f"actions = Reshape (h{len(hidden)}, shape)"]
+        told = f"float[1,{chunk},{n}] actions"
     if recurrent:
         steps.append(f"h_out = Identity ({last})")
-        given += f", float[1,{HIDDEN[-1]}] h_in"
-        told += f", float[1,{HIDDEN[-1]}] h_out"
+        given += f", float[1,{hidden[-1]}] h_in"
+        told += f", float[1,{hidden[-1]}] h_out"
     head = '<ir_version: 8, opset_import: ["": 17]>'
     network = parser.parse_model("\n".join([f"{head} mlp ({given}) => ({told}) {{", *steps, "}"]))
     network.graph.initializer.extend(
