@@ -40,9 +40,9 @@ from unicon_core.policies import Observation, Policy, PolicyContract, policy_sta
 from unicon_core.policies.child_policy import ChildPolicy
 from unicon_core.policies.chunks import ChunkSpec
 from unicon_core.policies.contract import ChildSpec
-from unicon_core.policies.height_scan import HEIGHT_SCAN, HeightScan, HeightScanSpec
 from unicon_core.policies.networks.child import ChildNetwork, Question, layouts_of, sides_of
 from unicon_core.policies.networks.onnx_file import Arrays
+from unicon_core.policies.perception import HEIGHT_SCAN, HeightScan, HeightScanSpec
 from unicon_core.robots import Robot, load_robot
 from unicon_core.runtime import Pacing, WallClock, WarmUp, prepare_process
 from unicon_core.states import States, standard_states

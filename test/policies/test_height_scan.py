@@ -11,7 +11,7 @@ from policy_helpers import robot, toy_values, write_linear, write_toy
 
 from unicon_base.errors import Fault, PolicyError, WorkflowError
 from unicon_core.policies import Policy, load_policy, policy_states, policy_table
-from unicon_core.policies.height_scan import HeightScan, HeightScanSpec
+from unicon_core.policies.perception import HeightScan, HeightScanSpec
 from unicon_core.policies.policy_yaml import write_policy_yaml
 from unicon_core.runtime.rollouts import Rollouts
 from unicon_core.states import States, standard_states

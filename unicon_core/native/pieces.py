@@ -230,6 +230,7 @@ def _policy_pieces(block: Block, table: Table) -> list[Piece] | None:
     lane, action_map = policy.lane, policy.action_map
     observation = lane.observation
     plain = {
+        "pictures": not policy.contract.images,
         "a motion": policy.tracker is None and not policy._motion,
         "inputs beside the observation": observation is not None and not lane.inputs,
         "a network that remembers inside itself": not lane._remembering,

@@ -310,7 +310,7 @@ class Binding:
             if not tensor.takes(gather.size):
                 raise self._fail(
                     f"input {tensor} takes {tensor.width} values and state {canonical!r} has "
-                    f"{gather.size}; correct 'inputs' or 'joints'"
+                    f"{gather.size}; correct 'inputs', 'images' or 'joints'"
                 )
         cast = None if tensor.dtype == "float32" else values.astype(tensor.dtype)
         return Input(gather, values, cast)

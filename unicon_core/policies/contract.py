@@ -23,7 +23,6 @@ from unicon_base.schema.marks import Core, Made, Matches, Names, Text, Within, W
 from unicon_base.schema.types import Here
 from unicon_core.bounds import SCALE, Damping, Stiffness
 from unicon_core.policies.chunks import ChunkSpec
-from unicon_core.policies.height_scan import HeightScanSpec
 from unicon_core.policies.hints import (
     LONGEST_FILTER,
     MOST_FRAMES,
@@ -48,6 +47,7 @@ from unicon_core.policies.hints import (
     rounded_one,
 )
 from unicon_core.policies.motion.spec import MotionSpec
+from unicon_core.policies.perception import HeightScanSpec, Images
 
 ActionKind: TypeAlias = Literal["position", "velocity", "torque"]
 TORCHSCRIPT = (".pt", ".pth", ".jit")
@@ -330,6 +330,7 @@ class PolicyFacts:
         command: how fast the velocity command may change that it sees, or None.
         motion: what it follows, or None.
         height_scan: the points at which it sees the ground, or None.
+        images: state to how it is made of a camera's frames.
         robot: the robot it was trained for, for information.
         sha256: of the network's file, or None.
         provider: where ONNX Runtime runs the network: `cpu`, `cuda` or `tensorrt`.
@@ -351,6 +352,7 @@ class PolicyFacts:
     command: CommandSpec | None = None
     motion: MotionSpec | None = None
     height_scan: HeightScanSpec | None = None
+    images: Images = field(default_factory=dict)
     chunk: ChunkSpec | None = None
     robot: str | None = None
     sha256: Sha256 | None = None

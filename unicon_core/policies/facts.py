@@ -28,6 +28,8 @@ _STATES = {
     "action": "actions last_action action",
     "gait_phase": "gait_phase",
     "height_scan": "height_scan",
+    "depth_image": "depth_image",
+    "rgb_image": "rgb_image",
     "gait_phase_sin": "sin_phase",
     "gait_phase_cos": "cos_phase",
     "motion_phase": "motion_phase",

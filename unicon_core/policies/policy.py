@@ -19,9 +19,9 @@ from unicon_core.policies.action_map import ActionMap
 from unicon_core.policies.bind import Binding
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.controller import PackedStates
-from unicon_core.policies.height_scan import HeightScan
 from unicon_core.policies.motion.follow import own_reference, tracker_of
 from unicon_core.policies.networks import Network, open_network
+from unicon_core.policies.perception import HeightScan
 from unicon_core.policies.phase import RPY, GaitPhase, RollPitchYaw, derived_states
 from unicon_core.policies.policy_states import fed_back, own_states, reads_writes
 from unicon_core.robots import Robot
@@ -232,6 +232,12 @@ class Policy:
 
     def _blame_observation(self) -> str:
         lane = self.lane
+        for name, image in self.contract.images.items():
+            if np.isnan(self._states[name]).any():
+                return (
+                    f"policy {self.name}: {name} shows no frame of the last {image.max_age:g} s; "
+                    f"see to {image.handle!r}, or leave the policy while {name}_age is more"
+                )
         bad = np.argwhere(~np.isfinite(lane.obs))
         if lane.observation is not None and bad.size:
             row, column = (int(i) for i in bad[0])

@@ -14,10 +14,10 @@ from unicon_base.arrays import Array
 from unicon_core.policies.chunks import DELAY, PREFIX
 from unicon_core.policies.contract import PolicyContract, RemoteSpec
 from unicon_core.policies.controller import PackedStates, PrefixedStates
-from unicon_core.policies.height_scan import HEIGHT_SCAN, HeightScan
 from unicon_core.policies.motion.follow import MotionClock
 from unicon_core.policies.networks.onnx import chained_outputs
 from unicon_core.policies.observation import Observation
+from unicon_core.policies.perception import HEIGHT_SCAN, HeightScan
 from unicon_core.policies.phase import (
     COMMAND,
     SLEWED,
@@ -99,6 +99,8 @@ def states_of(contract: PolicyContract) -> dict[str, StateSpec]:
             states[name] = StateSpec((len(parts),), names=parts, description=text)
     if contract.height_scan is not None:
         states[HEIGHT_SCAN] = contract.height_scan.state()
+    for name, image in contract.images.items():
+        states |= image.states(name)
     if contract.motion is not None:
         states |= _followed(contract)
     action = contract.action

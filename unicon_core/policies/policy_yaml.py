@@ -19,10 +19,10 @@ from unicon_core.file_kinds import other_kind
 from unicon_core.policies.contract import ObservationTerm, PolicyContract, PolicyFacts
 from unicon_core.policies.facts import TO_GIVE, Facts
 from unicon_core.policies.file import read_facts
-from unicon_core.policies.height_scan import HeightScanSpec
 from unicon_core.policies.hints import Feed
 from unicon_core.policies.motion.spec import MotionSpec
 from unicon_core.policies.networks.onnx_file import read_onnx
+from unicon_core.policies.perception import HeightScanSpec, ImageSpec
 
 SCHEMA = "unicon.policy/1"
 
@@ -165,7 +165,7 @@ def contract_values(contract: PolicyContract) -> AnyDict:
 
 
 # Of these what is as it would be unless it were said is left out.
-_BRIEF = (PolicyContract, HeightScanSpec, ObservationTerm, MotionSpec)
+_BRIEF = (PolicyContract, HeightScanSpec, ImageSpec, ObservationTerm, MotionSpec)
 
 
 def _plain(value: Any, alone: bool = False) -> Any:

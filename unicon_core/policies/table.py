@@ -100,6 +100,7 @@ def policy_table(contract: PolicyContract, robot: Robot | None = None) -> str:
         )
     if contract.height_scan is not None:
         lines.append(f"height scan  {contract.height_scan}")
+    lines += [f"image        {name}: {image}" for name, image in contract.images.items()]
     lines += [f"note         {note}" for note in contract.notes]
     lines += ["", joint_table(contract, robot)]
     if contract.terms:

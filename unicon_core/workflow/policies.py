@@ -16,6 +16,7 @@ from unicon_core.policies import Policy, PolicyContract, load_policy, policy_sta
 from unicon_core.policies.action_map import lacking_joints
 from unicon_core.policies.contract import ChildSpec, RemoteSpec
 from unicon_core.policies.controller import ControllerContract, controller_contract, prefix_of
+from unicon_core.policies.perception import ImageTerm
 from unicon_core.policies.policy import DrivenPolicy
 from unicon_core.policies.policy_states import states_of
 from unicon_core.robots import Robot
@@ -186,6 +187,25 @@ def ground_under(context: BuildContext, contract: PolicyContract, states: States
         context.models[GROUND] = SceneGround(load_model(path, robot, quiet=True), terrain)
     ground: SceneGround = context.models[GROUND]
     return ground
+
+
+def image_terms(context: BuildContext) -> list[ImageTerm]:
+    """Return what fills the pictures that the policies of these blocks see.
+
+    Raises:
+        UniconError: a camera is missing, or has other frames.
+    """
+    policies, shadow = context.policies, context.shadow
+    contracts = {prefix_of(name, policies): policies[name] for name in policies}
+    if shadow is not None:
+        contracts[shadow.prefix] = shadow.contract
+    read = {name for block in context.blocks for name in block.reads}
+    return [
+        ImageTerm(context, f"{prefix}{name}", spec)
+        for prefix, contract in contracts.items()
+        for name, spec in contract.images.items()
+        if f"{prefix}{name}" in read
+    ]
 
 
 def policy_factory(use: Use, policies: AnyMapping) -> Callable[..., Any]:

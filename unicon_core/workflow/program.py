@@ -47,7 +47,7 @@ from unicon_core.workflow.live_twin import build_twin, twin_of
 from unicon_core.workflow.members import load_robot_of
 from unicon_core.workflow.parts import read_parts, read_store
 from unicon_core.workflow.platforms import build_platform, latches_of
-from unicon_core.workflow.policies import load_policies, with_weldable
+from unicon_core.workflow.policies import image_terms, load_policies, with_weldable
 from unicon_core.workflow.program_data import Gate, ProgramData, withheld
 from unicon_core.workflow.safety_set import completed, left_out
 from unicon_core.workflow.settings import pacing_of, safety_of, start_of
@@ -267,8 +267,9 @@ class Program(ProgramData):
         self.gates += gates_of(self)
 
     def _beside(self) -> None:
-        """Let a shadow and a twin follow what is sent; before the hooks: a recorder sees them."""
-        for stage, block in shadow_blocks(self.blocks):
+        """Let what follows `send` see it; before the hooks: a recorder sees its states."""
+        pictures = [(Stage.OBSERVE, as_block(term)) for term in image_terms(self.context)]
+        for stage, block in [*pictures, *shadow_blocks(self.blocks)]:
             self.blocks.append(block)
             self.stages[stage].append(block)
         settings = twin_of(self.document)

@@ -63,7 +63,10 @@ class TorchNetwork:
                 ) from error
         self._memory = TorchMemory(torch, self._module)
         self.inputs, self.outputs = (
-            tuple(Tensor(name, "float32", ("", "")) for name in names.values())
+            tuple(
+                Tensor(name, "float32", ("", *getattr(contract.images.get(key), "shape", ("",))))
+                for key, name in names.items()
+            )
             for names in (contract.inputs, contract.outputs)
         )
 
