@@ -81,9 +81,15 @@ def test_the_folder_says_rows_and_terms(tmp_path: Path):
 def test_what_a_folder_lacks_or_cannot_be_is_refused(tmp_path: Path):
     with pytest.raises(PolicyError, match=r"does not say period .*environment_state\.state"):
         loaded(tmp_path, {})
-    picture = {"observation.images.front": {"type": "VISUAL", "shape": [3, 8, 8]}}
-    with pytest.raises(PolicyError, match=r"observation\.images\.front is a picture"):
-        loaded(tmp_path, input_features=picture)
+    for kind, shape in (("diffusion", [3, 8, 8]), ("act", [1, 8, 8]), ("act", None), ("act", [])):
+        picture = {"observation.images.front": {"type": "VISUAL", "shape": shape}}
+        with pytest.raises(PolicyError, match=r"images\.front is a picture, which ACT alone"):
+            loaded(tmp_path, type=kind, input_features=picture)
+    features = {"observation.images.front": {"type": "VISUAL", "shape": [3, -8, 8]}}
+    features["observation.state"] = {"type": "STATE", "shape": [6]}
+    given = {key: GIVEN[key] for key in GIVEN if key != "observation"}
+    with pytest.raises(PolicyError, match=r"images\.front_image\.size\.0 is -8"):
+        loaded(tmp_path, given, input_features=features)
     with pytest.raises(PolicyError, match="policies that run are"):
         loaded(tmp_path, type="tdmpc")
     with pytest.raises(PolicyError, match="runs as it is"):
@@ -191,6 +197,25 @@ def test_a_robot_without_torch_asks_a_server_for_chunks(
             Program(**arm(tmp_path, server.address))
 
 
+def test_pictures_are_states_of_cameras(tmp_path: Path):
+    names = ("observation.images.front", "observation.images.Wrist.left", "observation.image")
+    features = {name: {"type": "VISUAL", "shape": [3, 96, 128]} for name in names}
+    features["observation.state"] = {"type": "STATE", "shape": [6]}
+    handles = {"front_image": {"handle": "webcam_handle", "max_age": 0.2}}
+    given = {key: GIVEN[key] for key in GIVEN if key != "observation"} | {"images": handles}
+    contract = loaded(tmp_path, given, input_features=features)
+    assert contract.inputs == {
+        "observation": "observation",
+        "front_image": "observation.images.front",
+        "wrist_left_image": "observation.images.Wrist.left",
+        "rgb_image": "observation.image",
+    }
+    front, wrist = contract.images["front_image"], contract.images["wrist_left_image"]
+    assert (front.shape, front.handle, front.max_age) == ((3, 96, 128), "webcam_handle", 0.2)
+    assert wrist.handle == "camera_handle"
+    assert [term.state for term in contract.terms] == ["joint_pos"]
+
+
 @pytest.fixture(scope="module")
 def package() -> None:
     """Skip without lerobot's policies."""
@@ -226,7 +251,7 @@ def ran(*arguments: str) -> str:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("package")
-@pytest.mark.parametrize("kind", ["act", "diffusion"])
+@pytest.mark.parametrize("kind", ["act", "diffusion", "pictures"])
 def test_a_folder_answers_as_its_own_class_does(tmp_path: Path, kind: str):
     ran(str(Path(__file__).with_name("lerobot_folder.py")), str(tmp_path), kind)
 

@@ -143,7 +143,9 @@ def loaded(path: Path, **options: Any) -> object:
 def policy(dice: random.Random, folder: Path) -> Reader:
     path = policy_folder(folder) / "policy.yaml"
     text = dice.choice((FOREIGN, (POLICY / "policy.yaml").read_text("utf-8")))
-    write(path, f"{text}height_scan: {{size: [1.6, 1.0], resolution: 0.1, order: yx}}\n", dice)
+    seen = "images: {rgb_image: {size: [8, 8], crop: [1, 0, 0, 2], range: [0.1, 3], rate: 9}}"
+    seen = f"height_scan: {{size: [1.6, 1.0], resolution: 0.1, order: yx}}\n{seen}\n"
+    write(path, f"{text}{seen}", dice)
     given: Any = {}
     if dice.random() < 0.3:
         terms = {"joint_vel_rel": {"scale": 0.05}}

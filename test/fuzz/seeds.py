@@ -481,6 +481,7 @@ n_obs_steps: 1
 input_features:
   observation.state: {type: STATE, shape: [12]}
   observation.environment_state: {type: ENV, shape: [3]}
+  observation.images.front: {type: VISUAL, shape: [3, 8, 8]}
 output_features: {action: {type: ACTION, shape: [12]}}
 chunk_size: 20
 n_action_steps: 5

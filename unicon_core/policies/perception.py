@@ -190,12 +190,10 @@ class ImageSpec:
     @staticmethod
     def between(found: AnyDict, here: Here) -> None:
         """Note factors that are not one for each colour, and ages that no frame has."""
-        counts = (1, 3) if found.get("range") is None else (1,)
+        colours = 3 if found.get("range") is None else 1
         for key in ("scale", "offset"):
-            if len(found.get(key, (1.0,))) not in counts:
-                here.value(
-                    f"has {len(found[key])} values; give {' or '.join(map(str, counts))}", key
-                )
+            if len(found.get(key, (1.0,))) not in (1, colours):
+                here.value("has other than one value, or one for each colour", key)
         if found.get("delay", 0.0) >= found.get("max_age", ImageSpec.max_age):
             here.value("is not more than delay; give more", "max_age")
 

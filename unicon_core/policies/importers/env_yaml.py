@@ -341,8 +341,8 @@ def lerobot_facts(source: Source) -> Facts:
     """Return what the folder says.
 
     Raises:
-        PolicyError: it is of a kind that does not run here, takes pictures, or is against the
-            format.
+        PolicyError: it is of a kind that does not run here, or takes pictures as none does here, or
+            is against the format.
     """
     facts, kind = source.facts, str(source.document["type"])
     facts.source, facts.network = "LeRobot config.json", source.path.parent / WEIGHTS
@@ -355,13 +355,18 @@ def lerobot_facts(source: Source) -> Facts:
         facts.notes.append(f"{source.path.name}: joints are those of {source.robot.name} in order")
     frames = source.whole("n_obs_steps")
     source.say("observation", {"layout": "frame_major", "terms": []}, "input_features")
-    for feature in source.value(Mapping[str, AnyDict], "input_features"):
+    inputs, images = {"observation": "observation"}, {}
+    for feature, said in source.value(Mapping[str, AnyDict], "input_features").items():
         name = feature.removeprefix("observation.")
         if name.startswith("image"):
-            raise source.wrong(
-                ("input_features", feature),
-                f"{feature} is a picture, which no policy takes here yet; train it on states",
-            )
+            shape = said.get("shape")
+            if kind != "act" or not isinstance(shape, list) or shape[:1] != [3]:
+                text = f"{feature} is a picture, which ACT alone takes here, of shape"
+                text = f"{text} [3, height, width]; train it so, or on states"
+                raise source.wrong(("input_features", feature), text)
+            camera = re.sub(r"^images?_?|_image$", "", re.sub(r"\W", "_", name.lower())) or "rgb"
+            images[f"{camera}_image"], inputs[f"{camera}_image"] = {"size": shape[1:]}, feature
+            continue
         term: AnyDict = {"name": name, "scale": 1.0, "history": frames}
         if name != "environment_state":
             term["state"] = _STATES.get(name, name)
@@ -373,5 +378,6 @@ def lerobot_facts(source: Source) -> Facts:
         source.say("chunk.steps", steps, "n_action_steps")
     if (weight := source.document.get("temporal_ensemble_coeff")) is not None:
         facts.values["chunk"] |= {"execution": "ensemble", "weight": weight}
-    facts.values |= {"inputs": {"observation": "observation"}, "outputs": {"action": "action"}}
+    source.say("images", images, "input_features")
+    facts.values |= {"inputs": inputs, "outputs": {"action": "action"}}
     return facts

@@ -249,8 +249,8 @@ def lerobot_files(folder: Path) -> list[Path]:
 class LerobotNetwork:
     """The policy of a folder with LeRobot's pipelines before and behind it.
 
-    Its input is the frames of all features, the oldest first, shape (1, frames · width); its output
-    `action` a chunk in the units of the training data, shape (1, H, m). Each call draws the same
+    Its input `observation` is the frames of all features, the oldest first, shape (1, frames ·
+    width), but for pictures, which are inputs of their own; its output `action` a chunk in the units of the training data, shape (1, H, m). Each call draws the same
     noise, so that the answer depends on the observation alone.
 
     Args:
@@ -276,6 +276,7 @@ class LerobotNetwork:
         try:
             self._config = config = configs.PreTrainedConfig.from_pretrained(str(folder))
             config.device = device
+            config.pretrained_backbone_weights = None  # the folder has all weights
             made = factory.get_policy_class(config.type)
             self._policy = made.from_pretrained(str(folder), config=config)
             moved = {"device_processor": {"device": device}}
@@ -286,10 +287,14 @@ class LerobotNetwork:
             text = f"{folder}: LeRobot cannot load it: {one_line(error)[:200]}"
             raise PolicyError(text) from error
         assert contract.chunk is not None
-        self._widths = {name: each.shape[0] for name, each in config.input_features.items()}
+        features, pictures = config.input_features, {contract.inputs[n] for n in contract.images}
+        self._widths = {n: each.shape[0] for n, each in features.items() if n not in pictures}
         width = config.n_obs_steps * sum(self._widths.values())
         shape = (1, contract.chunk.size, config.output_features["action"].shape[0])
-        self.inputs: tuple[Tensor, ...] = (Tensor("observation", "float32", (1, width)),)
+        self.inputs: tuple[Tensor, ...] = (
+            Tensor("observation", "float32", (1, width)),
+            *(Tensor(n, "float32", (1, *features[n].shape)) for n in features if n in pictures),
+        )
         self.outputs: tuple[Tensor, ...] = (Tensor("action", "float32", shape),)
 
     def bind(self, inputs: Arrays, outputs: Arrays) -> Callable[[], None]:
@@ -297,7 +302,9 @@ class LerobotNetwork:
         torch, policy = self._torch, self._policy
         target = torch.from_numpy(outputs["action"])
         frames = torch.from_numpy(inputs["observation"]).reshape(self._config.n_obs_steps, -1)
-        parts = dict(zip(self._widths, frames.split(list(self._widths.values()), 1)))
+        parts = {name: torch.from_numpy(array) for name, array in inputs.items()}
+        parts |= dict(zip(self._widths, frames.split(list(self._widths.values()), 1)))
+        del parts["observation"]
 
         def chunk() -> Any:
             seen = self._before(dict(parts))
