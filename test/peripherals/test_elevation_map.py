@@ -13,6 +13,7 @@ from unicon_core.flow import Block, Stage
 from unicon_core.handles import FrameRing
 from unicon_core.models.camera import Intrinsics
 from unicon_core.platforms.kit.base import rotation
+from unicon_core.policies import perception
 from unicon_core.states import States, StateSpec, standard_states
 from unicon_core.workflow.autowire import BuildContext
 from unicon_ros import elevation_map as module
@@ -44,6 +45,9 @@ class Sensor:
 
 class Bench:
     """An elevation map with a base that is put where a test wants it."""
+
+    dated = False
+    """Stamps count from 1970, as a RealSense's, else from the machine's start, as a Livox's."""
 
     def __init__(self, message: FrameMessage, **options: Any) -> None:
         specs = standard_states(["j"]) | {"eye_handle": StateSpec((), "int64")}
@@ -80,7 +84,8 @@ class Bench:
             seen = depth if data.ndim == 2 else ways * depth[:, None]
             data[...] = seen.reshape(data.shape)
         change(data)
-        self.states["eye_handle"][...] = self.sensor.ring.commit(module.time.monotonic_ns())
+        stamp = module.time.time_ns() if self.dated else module.time.monotonic_ns()
+        self.states["eye_handle"][...] = self.sensor.ring.commit(stamp)
 
 
 @pytest.fixture
@@ -91,8 +96,10 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[float]]:
     class Clock:
         monotonic = staticmethod(lambda: now[0])
         monotonic_ns = staticmethod(lambda: round(now[0] * 1e9))
+        time_ns = staticmethod(lambda: 1_800_000_000_000_000_000 + round(now[0] * 1e9))
 
-    monkeypatch.setattr(module, "time", Clock)
+    for each in (module, perception):
+        monkeypatch.setattr(each, "time", Clock)
     return iter([now])
 
 
@@ -113,9 +120,11 @@ def matches(bench: Bench) -> bool:
     return off.size > 50 and bool(np.abs(off).max() < 0.01)
 
 
+@pytest.mark.parametrize("dated", [True, False])
 @pytest.mark.parametrize("kind", MESSAGES)
-def test_a_frame_becomes_the_ground_around_the_robot(kind: str, clock: Any) -> None:
+def test_a_frame_becomes_the_ground_around_the_robot(kind: str, dated: bool, clock: Any) -> None:
     bench, now = Bench(MESSAGES[kind], base_height=0.4), next(clock)
+    bench.dated = dated
     for x in (0.0, 0.3):
         bench.place(x)
         now[0] += 0.02

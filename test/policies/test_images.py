@@ -31,7 +31,7 @@ from unicon_ros.peripheral import FrameSource
 
 H, W = 12, 20
 COLORS, DEPTHS = frame_message("color", W, H, "eye"), frame_message("depth", W, H, "eye")
-STATES = {"eye_handle": StateSpec((), "int64"), "eye_stamp_ns": StateSpec((), "int64")}
+STATES = {"eye_handle": StateSpec((), "int64")}
 
 
 def plain(pixels: np.ndarray, spec: ImageSpec) -> np.ndarray:
@@ -84,6 +84,8 @@ class Bench:
     """A picture's state with the camera behind it; frames have the time `now`, in [s]."""
 
     now = 100.0
+    dated = True
+    """Stamps count from 1970, as a webcam's, else from the machine's start, as a Livox's."""
 
     def __init__(self, spec: ImageSpec, message: FrameMessage, **context: Any) -> None:
         states = standard_states(["j"]) | STATES | spec.states("rgb_image")
@@ -96,8 +98,8 @@ class Bench:
     def shoot(self, pixels: Any) -> None:
         """Let a frame come now."""
         self.camera.message.data(self.camera.ring.fill())[...] = pixels
-        self.states["eye_handle"][...] = self.camera.ring.commit(7)  # wall time, as of a webcam
-        self.states["eye_stamp_ns"][...] = round(Bench.now * 1e9)
+        stamp = perception.time.time_ns() if self.dated else perception.time.monotonic_ns()
+        self.states["eye_handle"][...] = self.camera.ring.commit(stamp)
 
     def tick(self, seconds: float = 0.02) -> tuple[float, float]:
         """Go on; return the first value and the age."""
@@ -110,6 +112,7 @@ class Bench:
 def clock(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     class Clock:
         monotonic_ns = staticmethod(lambda: round(Bench.now * 1e9))
+        time_ns = staticmethod(lambda: 1_800_000_000_000_000_000 + round(Bench.now * 1e9))
 
     monkeypatch.setattr(perception, "time", Clock)
     yield
@@ -152,9 +155,11 @@ def test_resizing_is_that_of_pillow() -> None:
         np.testing.assert_allclose(ours, expected, atol=1e-5, err_msg=resize)
 
 
-def test_a_frame_is_seen_after_its_delay_at_most_so_often_and_grows_old() -> None:
+@pytest.mark.parametrize("dated", [True, False])
+def test_a_frame_is_seen_after_its_delay_at_most_so_often_and_grows_old(dated: bool) -> None:
     spec = ImageSpec((1, 1), "eye_handle", scale=(255.0,), rate=10.0, delay=0.05, max_age=0.3)
     bench = Bench(spec, COLORS)
+    bench.dated = dated
     assert np.isnan(bench.tick()[0])
     assert bench.tick()[1] == math.inf
     seen = []
@@ -201,7 +206,7 @@ def test_a_simulation_that_begins_anew_goes_on_seeing() -> None:
     spec, stamp = ImageSpec((1, 1), "eye_handle", scale=(255.0,), delay=0.05), "stamp_ns"
     bench = Bench(spec, COLORS)
     frames = bench.term._frames
-    frames._clock, frames._stamp = bench.states[stamp], None  # as of a camera of the model
+    frames._clock = bench.states[stamp]  # as of a camera of the model
     clock, ring = bench.states[stamp], bench.camera.ring
 
     def shoot(value: int, seconds: float) -> int:
@@ -250,8 +255,8 @@ def test_wrong_cameras_are_refused() -> None:
         ({"size": [0, 8]}, "images.rgb_image.size.0 is 0"),
         ({"size": [8, 99999]}, "images.rgb_image.size.1 is 99999"),
         ({"size": None}, "images.rgb_image: missing key 'size'"),
-        ({"scale": [1.0, 2.0]}, "images.rgb_image.scale has 2 values; give 1 or 3"),
-        ({"range": [0.1, 3.0], "offset": [1.0, 2.0, 3.0]}, "has 3 values; give 1"),
+        ({"scale": [1.0, 2.0]}, "images.rgb_image.scale has other than one value, or one for each colour"),
+        ({"range": [0.1, 3.0], "offset": [1.0, 2.0, 3.0]}, "images.rgb_image.offset has other than one"),
         ({"range": [3.0, 0.1]}, "is [3, 0.1]; the lowest must come first"),
         ({"crop": [1, 2]}, "images.rgb_image.crop is [1, 2]; write the pixels cut off"),
         ({"crop": [-1, 0, 0, 0]}, "images.rgb_image.crop.0 is -1"),
@@ -392,8 +397,7 @@ def eye(context: BuildContext) -> Block:
         if not context.dry:
             count[0] += 1
             camera.message.data(camera.ring.fill())[...] = min(5 * count[0], 255)
-            states["eye_handle"][...] = camera.ring.commit(0)
-            states["eye_stamp_ns"][...] = perception.time.monotonic_ns()
+            states["eye_handle"][...] = camera.ring.commit(perception.time.time_ns())
 
     tick: Any = see
     tick.sources, tick.outside = camera.sources, True

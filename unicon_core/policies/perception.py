@@ -238,6 +238,9 @@ def weights(length: int, size: int, resize: str) -> Float32:
     return shares
 
 
+_DATE = 10**18  # what is more is no CLOCK_MONOTONIC but the time since 1970, [ns]
+
+
 class Frames:
     """The frames behind a handle, each taken once.
 
@@ -264,13 +267,11 @@ class Frames:
         sources = {} if context.dry else getattr(block.tick, "sources", {})
         self._source: Any = sources.get(handle.removesuffix("_handle"))
         self.message: Any = getattr(self._source, "message", None)
-        # Frames of a model are stamped with the time of its states, others' by CLOCK_MONOTONIC.
+        # Frames of a model are stamped with the time of its states, others by the machine's clocks.
         self._clock = states["stamp_ns"] if "stamp_ns" in block.reads else None
-        stamps = (name for name in block.writes if name.endswith("_stamp_ns"))
-        self._stamp = states[next(stamps)] if self._clock is None else None
 
     def now(self) -> int:
-        """Return the time that frames' stamps have, in [ns]."""
+        """Return the time that `newest` counts in, [ns]."""
         return time.monotonic_ns() if self._clock is None else int(self._clock)
 
     def newest(self) -> tuple[Array, int] | None:
@@ -279,8 +280,9 @@ class Frames:
         if handle in (0, self._last):
             return None
         self._last, ring = handle, self._source.ring
-        frame = ring.frame(handle)
-        stamp = ring.stamp_ns(handle) if self._stamp is None else int(self._stamp)
+        frame, stamp = ring.frame(handle), ring.stamp_ns(handle)
+        if self._clock is None and stamp > _DATE:
+            stamp -= time.time_ns() - time.monotonic_ns()
         return None if frame is None else (self.message.data(frame), stamp)
 
     def whole(self) -> bool:

@@ -250,8 +250,9 @@ class LerobotNetwork:
     """The policy of a folder with LeRobot's pipelines before and behind it.
 
     Its input `observation` is the frames of all features, the oldest first, shape (1, frames ·
-    width), but for pictures, which are inputs of their own; its output `action` a chunk in the units of the training data, shape (1, H, m). Each call draws the same
-    noise, so that the answer depends on the observation alone.
+    width), but for pictures, which are inputs of their own; its output `action` a chunk in the
+    units of the training data, shape (1, H, m). Each call draws the same noise, so that the answer
+    depends on the inputs alone.
 
     Args:
         contract: the policy, read from its folder.
