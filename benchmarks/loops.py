@@ -249,12 +249,6 @@ class AtOnce(ChildNetwork):
         """Say that the answer is there."""
         return True
 
-    def look(self) -> None:
-        """Miss nobody."""
-
-    def close(self) -> None:
-        """End nobody."""
-
 
 def _chunks(bench: Bench, robot: Robot, folder: Path) -> None:
     """A policy by chunks at 10 Hz: its tick beside a child at work, and the same beside none.

@@ -341,11 +341,16 @@ def main() -> int:
     return 0
 
 
+def schedule(policy: int) -> None:
+    """Let this thread be scheduled by a policy without priorities, such as SCHED_BATCH."""
+    with suppress(OSError):
+        os.sched_setscheduler(0, policy, os.sched_param(0))
+
+
 def _prepare(contract: PolicyContract) -> Iterator[str]:
     """Go to the core that is wished; yield what was refused."""
     assert isinstance(contract.child, ChildSpec)
-    with suppress(OSError):  # being woken, it takes no core from the tick that woke it
-        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+    schedule(os.SCHED_BATCH)  # being woken, it takes no core from the tick that woke it
     if (cpu := contract.child.cpu) is not None:
         try:
             os.sched_setaffinity(0, {cpu})

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 from weakref import WeakValueDictionary
@@ -137,15 +139,12 @@ class OnnxNetwork:
         # where it is there.
         raw = getattr(getattr(session, "_sess", None), "run_with_iobinding", None)
         inner = getattr(binding, "_iobinding", None)
-        if raw is not None and inner is not None:
+        private = raw is not None and inner is not None
+        call: Any = raw if private else session.run_with_iobinding
+        given = (inner, None) if private else (binding,)
 
-            def run(_keep: object = keep) -> None:
-                raw(inner, None)
-
-        else:
-
-            def run(_keep: object = keep) -> None:
-                session.run_with_iobinding(binding)
+        def run(_keep: object = keep) -> None:
+            call(*given)
 
         return run
 
@@ -155,10 +154,9 @@ OBSERVATION = "observation"
 
 def chained_outputs(contract: PolicyContract) -> dict[str, Tensor]:
     """Return the outputs of all networks of a policy; those of earlier ones as `NAME.output`."""
-    tensors = {tensor.name: tensor for tensor in read_onnx(contract.model).outputs}
+    tensors = _named("", read_onnx(contract.model).outputs)
     for part in contract.networks:
-        for tensor in read_onnx(part.model).outputs:
-            tensors[f"{part.name}.{tensor.name}"] = _named(part.name, tensor)
+        tensors |= _named(part.name, read_onnx(part.model).outputs)
     return tensors
 
 
@@ -197,18 +195,15 @@ class ChainedNetworks:
                 if fed not in known:
                     what = f"network {name!r}" if name else "the network of the action"
                     raise self._fail(f"{what} has no input {fed!r}; {alternatives(fed, known)}")
-            for tensor in network.inputs:
-                if tensor.name in feeds:
-                    self._check(_named(name, tensor), feeds[tensor.name], made)
+            for fed, tensor in zip(known, _named(name, network.inputs).values()):
+                if fed in feeds:
+                    self._check(tensor, feeds[fed], made)
                 else:
-                    inputs.append(_named(name, tensor))
-            for tensor in network.outputs:
-                named = _named(name, tensor)
-                made[named.name] = named
+                    inputs.append(tensor)
+            made |= _named(name, network.outputs)
         free = all(tensor.free_batch for _, network, _ in self._parts for tensor in network.inputs)
         vector = Tensor(OBSERVATION, "float32", ("batch" if free else 1, self._width))
-        self.inputs = (vector, *inputs)
-        self.outputs = tuple(made.values())
+        self.inputs, self.outputs = (vector, *inputs), (*made.values(),)
 
     def _fail(self, message: str) -> PolicyError:
         return PolicyError(f"policy {self._name}: {message}")
@@ -255,25 +250,23 @@ class ChainedNetworks:
             outputs: likewise; outputs that nothing names and nothing inside takes are not fetched.
         """
         rows = len(inputs[OBSERVATION])
-        arrays: dict[str, Array] = {OBSERVATION: inputs[OBSERVATION], **outputs}
+        arrays: dict[str, Array] = {**inputs, **outputs}
         wanted = {feed.source for _, _, feeds in self._parts for f in feeds.values() for feed in f}
-        steps: list[Callable[[], None]] = []
+        steps: list[Callable[[], object]] = []
         for name, network, feeds in self._parts:
             taken, given = {}, {}
-            for tensor in network.inputs:
+            for key, tensor in zip(_named(name, network.inputs), network.inputs):
                 if tensor.name not in feeds:
-                    taken[tensor.name] = inputs[_named(name, tensor).name]
+                    taken[tensor.name] = arrays[key]
                     continue
                 whole = np.zeros((rows, int(tensor.width)), np.float32)
                 taken[tensor.name] = tensor.shaped(whole)
-                start = 0
-                for feed in feeds[tensor.name]:
-                    source = arrays[feed.source].reshape(rows, -1)[:, feed.start : feed.stop]
-                    target = whole[:, start : start + source.shape[1]]
-                    start += source.shape[1]
-                    steps.append(_copy(source, target))
-            for tensor in network.outputs:
-                key = _named(name, tensor).name
+                parts = [
+                    arrays[feed.source].reshape(rows, -1)[:, feed.start : feed.stop]
+                    for feed in feeds[tensor.name]
+                ]
+                steps.append(partial(np.concatenate, parts, 1, whole))
+            for key, tensor in zip(_named(name, network.outputs), network.outputs):
                 if key in wanted and key not in arrays:
                     arrays[key] = np.zeros((rows, int(tensor.width)), np.float32)
                 if key in arrays:
@@ -287,12 +280,7 @@ class ChainedNetworks:
         return run
 
 
-def _named(name: str, tensor: Tensor) -> Tensor:
-    return Tensor(f"{name}.{tensor.name}", tensor.dtype, tensor.shape) if name else tensor
-
-
-def _copy(source: Array, target: Array) -> Callable[[], None]:
-    def copy() -> None:
-        target[...] = source
-
-    return copy
+def _named(name: str, tensors: Iterable[Tensor]) -> dict[str, Tensor]:
+    """Return the tensors of a network by the names that they have among several."""
+    named = ((f"{name}.{each.name}" if name else each.name, each) for each in tensors)
+    return {key: replace(each, name=key) for key, each in named}

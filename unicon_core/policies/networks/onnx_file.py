@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
-from typing import Protocol, TypeAlias, runtime_checkable
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 from unicon_base.arrays import Array
 from unicon_base.errors import PolicyError
@@ -102,8 +102,9 @@ class Remembering(Protocol):
         ...
 
 
-# What a field holds: a number, or the bytes of a text or message.
-_Value: TypeAlias = "memoryview | int"
+_Message: TypeAlias = defaultdict[int, list[Any]]
+"""Number of a field -> its values, numbers and views of bytes: what has the other kind than the one
+that is asked for raises a TypeError or AttributeError."""
 
 # onnx/onnx.proto3, TensorProto.DataType
 _ELEMENT_TYPES = {1: "float32", 6: "int32", 7: "int64", 9: "bool", 10: "float16", 11: "float64"}
@@ -165,7 +166,7 @@ def read_onnx(path: Path) -> OnnxFile:
     data = path.read_bytes()
     try:
         return _model(path, memoryview(data))
-    except (IndexError, ValueError) as error:
+    except (IndexError, ValueError, TypeError, AttributeError) as error:
         if is_lfs_pointer(path):
             raise PolicyError(
                 f"{path}: a Git LFS pointer, not the model; run 'git lfs pull' there"
@@ -191,11 +192,9 @@ def _model(path: Path, data: memoryview) -> OnnxFile:
     )
 
 
-def _message(data: _Value) -> defaultdict[int, list[_Value]]:
+def _message(data: Any) -> _Message:
     """Return field number to values; lengths are views, so that weights are never copied."""
-    if isinstance(data, int):
-        raise ValueError("a number where a message was expected")
-    fields: defaultdict[int, list[_Value]] = defaultdict(list)
+    fields = _Message(list)
     position, end = 0, len(data)
     while position < end:
         tag, position = _varint(data, position)
@@ -217,37 +216,31 @@ def _message(data: _Value) -> defaultdict[int, list[_Value]]:
 
 
 def _varint(data: memoryview, position: int) -> tuple[int, int]:
-    result = shift = 0
-    while True:
+    result = 0
+    for shift in range(0, 70, 7):
         byte = data[position]
         position += 1
         result |= (byte & 0x7F) << shift
         if byte < 0x80:
             return result, position
-        shift += 7
-        if shift > 63:
-            raise ValueError("varint")
+    raise ValueError("varint")
 
 
-def _last(message: Mapping[int, list[_Value]], number: int) -> _Value:
+def _last(message: _Message, number: int) -> Any:
     """Return the value of a field, of which the last one counts; empty where it is absent."""
-    values = message.get(number)
-    return values[-1] if values else memoryview(b"")
+    return (message[number] or [memoryview(b"")])[-1]
 
 
-def _text(message: Mapping[int, list[_Value]], number: int) -> str:
-    value = _last(message, number)
-    if isinstance(value, int):
-        raise ValueError("a number where a text was expected")
-    return value.tobytes().decode("utf-8")
+def _text(message: _Message, number: int) -> str:
+    return str(_last(message, number).tobytes(), "utf-8")
 
 
-def _pair(data: _Value) -> tuple[str, str]:
+def _pair(data: Any) -> tuple[str, str]:
     pair = _message(data)
     return _text(pair, 1), _text(pair, 2)
 
 
-def _tensor(data: _Value) -> Tensor:
+def _tensor(data: Any) -> Tensor:
     value = _message(data)
     kind = _message(_last(_message(_last(value, 2)), 1))
     element, axes = _last(kind, 1), _message(_last(kind, 2))[1]
@@ -257,7 +250,7 @@ def _tensor(data: _Value) -> Tensor:
     return Tensor(_text(value, 1), dtype, tuple(map(_axis, axes)))
 
 
-def _axis(data: _Value) -> int | str:
+def _axis(data: Any) -> int | str:
     axis = _message(data)
     size = _last(axis, 1)
     return size if isinstance(size, int) else _text(axis, 2)
