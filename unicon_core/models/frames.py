@@ -47,10 +47,17 @@ def conjugate(a: Floats) -> Quat:
     return a[0], -a[1], -a[2], -a[3]
 
 
-def rotate(a: Floats, v: Floats) -> Vector:
-    """Return a vector turned by a unit quaternion wxyz."""
-    _, x, y, z = multiply(multiply(a, (0.0, *v)), conjugate(a))
-    return x, y, z
+def rotate(q: Floats, a: Floats) -> Vector:
+    """Return R(q) a = a + 2 w (u x a) + 2 u x (u x a), q = (w, u) a unit quaternion."""
+    (w, x, y, z), (a0, a1, a2) = q, a
+    c0 = y * a2 - z * a1
+    c1 = z * a0 - x * a2
+    c2 = x * a1 - y * a0
+    return (
+        a0 + 2.0 * (w * c0 + y * c2 - z * c1),
+        a1 + 2.0 * (w * c1 + z * c0 - x * c2),
+        a2 + 2.0 * (w * c2 + x * c1 - y * c0),
+    )
 
 
 def turned(axis: Floats, angle: float) -> Quat:
@@ -191,14 +198,14 @@ class Frames:
         for (at, turn, a, r), out in zip(self._bodies, outs):
             q = turn.tolist()
             x, y, z = at.tolist()
-            u, v, w = _turned(q, a)
+            u, v, w = rotate(q, a)
             x = x + u
             y = y + v
             z = z + w
             q = multiply(q, r)
             if there is not None:
                 (u, v, w), back = there
-                x, y, z = _turned(back, (x - u, y - v, z - w))
+                x, y, z = rotate(back, (x - u, y - v, z - w))
                 q = multiply(back, q)
             s, i, j, k = q
             _, _, _, os, oi, oj, ok = out.tolist()
@@ -215,16 +222,3 @@ class Frames:
         found = {name: np.full(7, np.nan) for name in self.names}
         self(joint_pos, list(found.values()))
         return found
-
-
-def _turned(q: Sequence[float], a: Sequence[float]) -> tuple[float, float, float]:
-    """Return R(q) a = a + 2 w (u x a) + 2 u x (u x a), q = (w, u) a unit quaternion."""
-    (w, x, y, z), (a0, a1, a2) = q, a
-    c0 = y * a2 - z * a1
-    c1 = z * a0 - x * a2
-    c2 = x * a1 - y * a0
-    return (
-        a0 + 2.0 * (w * c0 + y * c2 - z * c1),
-        a1 + 2.0 * (w * c1 + z * c0 - x * c2),
-        a2 + 2.0 * (w * c2 + x * c1 - y * c0),
-    )

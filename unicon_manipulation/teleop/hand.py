@@ -23,6 +23,7 @@ from unicon_core.models.frames import (
     Vector,
     conjugate,
     multiply,
+    plus,
     rotate,
     towards,
     turned,
@@ -156,11 +157,10 @@ class Hand:
         """
         (start, begin), (ours, facing) = self._theirs, self._ours
         scale = self._scale
-        x, y, z = (scale * (b - a) for a, b in zip(start, position))
-        dx, dy, dz = rotate(self._level, (x, y, z))
+        way = [scale * (b - a) for a, b in zip(start, position)]
         change = multiply(self._level, multiply(quat, conjugate(begin)))
         change = multiply(change, conjugate(self._level))
-        self._go((ours[0] + dx, ours[1] + dy, ours[2] + dz), multiply(change, facing))
+        self._go(plus(ours, rotate(self._level, way)), multiply(change, facing))
         if dt > 0.0:
             self._estimate(dt)
 

@@ -270,7 +270,7 @@ def _agree(
 def _joint_order(
     path: Path, spec: MotionSpec, contract: PolicyContract, robot_joints: Sequence[str], count: int
 ) -> list[str]:
-    said = spec.joints if spec.joints is not None or path.suffix == ".csv" else "policy"
+    said = spec.joints or (None if path.suffix == ".csv" else "policy")
     if said is None:
         raise PolicyError(
             f"{path}: a .csv does not name its joints; give motion.joints: robot (the order of the "
