@@ -41,7 +41,7 @@ class GridMapDecoder(Decoder):
     Attributes:
         x, y: middles of the last message's cells in [m], shapes (m,) and (k,).
         heights: in [m], shape (k, m); not finite where they are not known.
-        age: of the message when it came, in [s]; 0 where it has no stamp.
+        age: of the last message when it came, in [s]; 0 where it has no stamp.
     """
 
     x: Array
@@ -72,18 +72,18 @@ class GridMapDecoder(Decoder):
         figures = np.array([info.resolution, info.length_x, info.length_y, place.x, place.y, *turn])
         stamp = head.stamp.sec * 10**9 + head.stamp.nanosec
         now = time.time_ns() if self._clock is None else int(self._clock)
-        age = (now - stamp) * 1e-9 if stamp else 0.0
+        self.age = age = abs(now - stamp) * 1e-9 if stamp else 0.0
         if head.frame_id != self._frame:
             raise Rejected(
                 f"it is in frame {head.frame_id!r}; give frame, if base_pos_w is in that"
             )
-        if abs(age) > self._stale:
-            raise Rejected(f"it is {age:.3g} s old; see to the clocks (use_sim_time), or to stale")
-        if not (np.isfinite(figures).all() and figures[0] > 0.0 and max(turn) <= LEVEL):
+        if age > self._stale:
             raise Rejected(
-                "resolution, lengths, x, y and turn (x, y, z of a quaternion) are "
-                f"{figures.tolist()}; send finite ones, a resolution above 0 and no turn"
+                f"its stamp is {age:.3g} s from now; see to clocks (use_sim_time), stale"
             )
+        if not (np.isfinite(figures).all() and figures[0] > 0.0 and max(turn) <= LEVEL):
+            text = "finite resolution above 0, lengths, x and y, and no turn"
+            raise Rejected(f"its info is {figures.tolist()}; send {text}")
         if self._layer not in layers:
             raise Rejected(f"it has no layer {self._layer!r}; {alternatives(self._layer, layers)}")
         data = layers[self._layer]
@@ -93,17 +93,14 @@ class GridMapDecoder(Decoder):
         begin = said.outer_start_index, said.inner_start_index
         wanted = {"row_index": columns, "column_index": rows}
         if sizes != wanted or data.data.size != columns * rows or not (begin < size).all():
-            raise Rejected(
-                f"layer {self._layer!r} has {data.data.size} numbers for {sizes} from {begin} on, "
-                f"and its lengths make {wanted}; send as many"
-            )
+            there = f"{data.data.size} numbers for {sizes} from {begin} on"
+            raise Rejected(f"layer {self._layer!r} has {there}; its lengths make {wanted}")
         heights = data.data.reshape(list(sizes.values()))
         self.heights = heights if next(iter(sizes)) == "column_index" else heights.T
         self.x, self.y = (
             corner + NUDGE - figures[0] * ((np.arange(n) - first) % n + 0.5)
-            for corner, n, first in zip(figures[3:5] + 0.5 * figures[1:3], size, begin)
+            for corner, n, first in zip(figures[3:5] + 0.5 * figures[0] * size, size, begin)
         )
-        self.age = max(age, 0.0)
 
     def points(self, place: Array, reach: float) -> Array:
         """Return the known middles of cells up to `reach` in [m] from x and y, shape (3, n)."""
@@ -152,15 +149,15 @@ class GridMap(HeightMap):
         self._topic: TopicIn | None = None
         if context.dry:
             return
-        qos, messages = LATCHED if latched else LATEST, shared_messages()
-        spec = SubscribeSpec(topic, GRID_MAP, (), messages, qos=qos)
+        qos, group = LATCHED if latched else LATEST, compat.polled_group()
+        spec = SubscribeSpec(topic, GRID_MAP, (), shared_messages(), qos=qos)
+        message = message_class(spec)
         self._grid = ElevationGrid(self._cells, resolution, 0.0)
         platform = context.platform
         simulated = platform is not None and platform.facts.simulated
         clock = context.states["stamp_ns"] if simulated else None
         maps = self._maps = GridMapDecoder(spec, layer, frame, clock, self._stale)
         own = self._own = OwnNode("unicon_grid_map", None, ())
-        message, group = message_class(spec), compat.polled_group()
         self._topic = TopicIn(own.node, maps, message, False, group, context.tell)
         if not self._topic.polled:
             self.close()

@@ -220,11 +220,13 @@ REFUSED: dict[str, dict[str, Any]] = {
     },
     "it has no layer 'elevation'; did you mean 'elevations'?": {"layers": ("elevations",)},
     "it is in frame 'map'; give frame, if base_pos_w is in that": {"frame": "map"},
-    "it is 5 s old; see to the clocks": {"stamp": NOW - 5 * 10**9},
-    "it is -7 s old; see to the clocks": {"stamp": NOW + 7 * 10**9},
-    "above 0 and no turn": {"turn": 0.1},
-    "a resolution above 0": {"change": lambda m: setattr(m.info, "resolution", 0.0)},
-    "send finite ones": {"change": lambda m: setattr(m.info.pose.position, "y", float("nan"))},
+    "its stamp is 5 s from now; see to clocks": {"stamp": NOW - 5 * 10**9},
+    "its stamp is 7 s from now; see to clocks": {"stamp": NOW + 7 * 10**9},
+    "x and y, and no turn": {"turn": 0.1},
+    "send finite resolution above 0": {"change": lambda m: setattr(m.info, "resolution", 0.0)},
+    "nan, 0.0, 0.0, 0.0]; send finite": {
+        "change": lambda m: setattr(m.info.pose.position, "y", float("nan"))
+    },
     "{'row_index': 120.0, 'column_index': 80.0}": {
         "change": lambda m: setattr(m.info, "resolution", 0.025)
     },
@@ -290,7 +292,7 @@ def test_silence_and_repetition_are_a_fault_or_the_last_map(clock: Any) -> None:
     clock[0] = 2.7
     holds.tick(old)
     assert holds.block._maps.received == 2
-    with pytest.raises(Fault, match=r"for 2 s \(the last: elevation_map .* 2\.1 s old"):
+    with pytest.raises(Fault, match=r"for 2 s \(the last: elevation_map .* 2\.1 s from now"):
         told.tick(old)
     clock[0] = 500.0
     holds.tick()

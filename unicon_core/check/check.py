@@ -49,7 +49,7 @@ from unicon_core.platforms.kit.scene import CONTACT, TERRAIN
 from unicon_core.platforms.platform import Facts
 from unicon_core.policies.networks.onnx_file import read_onnx
 from unicon_core.robots import Robot, robot_files
-from unicon_core.terrain.words import read_terrain
+from unicon_core.terrain.words import FLAT, read_terrain
 from unicon_core.workflow import Hook
 from unicon_core.workflow.document import WorkflowDocument, load_document
 
@@ -130,11 +130,10 @@ def check_seen(subject: Subject, result: CheckResult) -> None:
 
 def check_ground(subject: Subject, result: CheckResult) -> None:
     """Note a terrain where no simulator lays it under the feet."""
-    physics, terrain = subject.platform.physics, subject.document.get("scene", {}).get(TERRAIN)
-    if terrain and read_terrain(terrain, 0) and not {TERRAIN, CONTACT} <= {*physics}:
-        evidence = f"scene.terrain is for simulators: platform {subject.platform.name!r} lays none"
-        where = subject.document.where("scene", TERRAIN)
-        result.note("scene.ground", "the ground", evidence, "the world gives it", where)
+    said = subject.document.get("scene", {}).get(TERRAIN) or FLAT
+    if read_terrain(said, 0) and not {TERRAIN, CONTACT} <= {*subject.platform.physics}:
+        evidence = f"platform {subject.platform.name!r} lays none: the world gives the ground"
+        result.note("scene.ground", "scene.terrain", evidence)
 
 
 def check_reach(subject: Subject, result: CheckResult) -> None:

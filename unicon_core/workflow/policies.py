@@ -175,7 +175,8 @@ def ground_under(context: BuildContext, contract: PolicyContract, states: States
         where = "this part" if platform is None else f"platform {platform.facts.name!r}"
         raise PolicyError(
             f"policy {contract.name}: nothing fills its height_scan: {where} knows no ground, and "
-            "there is no height_map; add the block elevation_map or grid_map, or simulate (platform: mujoco)"
+            "there is no height_map; add the block elevation_map or grid_map, or simulate "
+            "(platform: mujoco)"
         )
     if GROUND not in context.models:
         from unicon_core.models.load import load_model
