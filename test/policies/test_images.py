@@ -255,8 +255,14 @@ def test_wrong_cameras_are_refused() -> None:
         ({"size": [0, 8]}, "images.rgb_image.size.0 is 0"),
         ({"size": [8, 99999]}, "images.rgb_image.size.1 is 99999"),
         ({"size": None}, "images.rgb_image: missing key 'size'"),
-        ({"scale": [1.0, 2.0]}, "images.rgb_image.scale has other than one value, or one for each colour"),
-        ({"range": [0.1, 3.0], "offset": [1.0, 2.0, 3.0]}, "images.rgb_image.offset has other than one"),
+        (
+            {"scale": [1.0, 2.0]},
+            "images.rgb_image.scale has other than one value, or one for each colour",
+        ),
+        (
+            {"range": [0.1, 3.0], "offset": [1.0, 2.0, 3.0]},
+            "images.rgb_image.offset has other than one",
+        ),
         ({"range": [3.0, 0.1]}, "is [3, 0.1]; the lowest must come first"),
         ({"crop": [1, 2]}, "images.rgb_image.crop is [1, 2]; write the pixels cut off"),
         ({"crop": [-1, 0, 0, 0]}, "images.rgb_image.crop.0 is -1"),

@@ -221,7 +221,9 @@ def test_a_missing_rate_is_told_with_its_policy(tmp_path: Path) -> None:
         write_toy(tmp_path, toy_values(phase={"period": 1.0, "rate": {"state": "tempo"}}))
     )
     states = States({**standard_states(JOINTS), **policy_states(contract, robot().joint_names)})
-    with pytest.raises(PolicyError, match=r"policy toy: gait phase: its rate takes .* 'tempo', which"):
+    with pytest.raises(
+        PolicyError, match=r"policy toy: gait phase: its rate takes .* 'tempo', which"
+    ):
         Policy(contract, states, robot())
 
 
