@@ -103,6 +103,8 @@ def test_what_an_action_and_an_observation_may_be(folder: Path) -> None:
         ("sin_0", "cos_0", "sin_1", "cos_1"),
         ("cos_0", "cos_1"),
     ]
+    seen = contract("sees.yaml").images
+    assert {spec.shape for spec in seen.values()} == {(3, 96, 96), (1, 58, 87)}
     clock = contract("clock.yaml").phase
     assert clock is not None
     assert (clock.stand, clock.resume, clock.stand_below) == ("zero", "clock", pytest.approx(0.1))
