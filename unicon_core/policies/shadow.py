@@ -345,8 +345,10 @@ class ShadowedPolicy:
 
 def seen_at(policy: Policy) -> dict[tuple[str, str | int, int], int]:
     """Return term, element and age in frames of what a policy observes, each with its place."""
-    seen, found = policy.lane.observation, {}
-    for place in range(0 if seen is None else seen.size):
+    seen, found = policy.lane.observation, dict[tuple[str, str | int, int], int]()
+    if seen is None:
+        return found
+    for place in range(seen.size):
         part, i, age = seen.element_of(place)
         found[part.term.name, part.names[i] if part.names else i, age] = place
     return found
