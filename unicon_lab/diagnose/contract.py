@@ -37,7 +37,6 @@ LEFT = 0.1
 """Share of the residual that an explanation other than these contracts is taken to leave."""
 _SIZES = (100, 200, 500, 1000, 2000, 4000)  # ticks that are tried
 _FINAL = 12  # hypotheses that are tried over more ticks
-_FITTED = 3  # terms whose scale is fitted, where no other contract made the record
 _MOST = 5  # causes that are returned
 _RIGHT = "for this record; correct what is not as in training"
 _VARIED = "the policy under commands of every direction and turn"
@@ -145,11 +144,9 @@ def _examined(played: OpenLoop, label: str, tell: Tell) -> tuple[list[Cause], li
     for i, each in enumerate(tried):
         tell(f"{label}: contracts", i / len(tried))
         left.append(played.residual(each, enough(0)))
-    scales = dict[str, int]()
-    for i in np.argsort(left, kind="stable").tolist():
-        if tried[i].culprit.startswith(f"{TERMS}scale of"):
-            scales.setdefault(tried[i].culprit, i)
-    for i in [*scales.values()][:_FITTED] if min(left) > SAME else ():
+    order = np.argsort(left, kind="stable")[::-1].tolist()
+    scales = {tried[i].culprit: i for i in order if f"{TERMS}scale of" in tried[i].culprit}
+    for i in scales.values() if min(left) > SAME else ():
         fitted = nearer(played, tried[i], enough(0))
         if abs(fitted.size - 1.0) > LEAST and (off := played.residual(fitted, enough(0))) < left[i]:
             tried[i], left[i] = fitted, off

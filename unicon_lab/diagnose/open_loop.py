@@ -329,21 +329,17 @@ def nearer(played: OpenLoop, change: Change, ticks: int) -> Change:
         other = with_term(contract, place, scale=scale)
         return replace(change, name=name, contract=other, size=size, figures=1)
 
-    at, last, spread = 1.0, 1.1, 0.0
+    at, last = 1.0, 1.1
     with suppress(Fault, UniconError):  # too large a scale is beyond a network's numbers
         before = played.run(scaled(last), ticks)
         for _ in range(_SECANTS):
             now = played.run(scaled(at), ticks)
-            slope = np.where(seen, now - before, 0.0) / (at - last)
-            power = max(float((slope**2).sum()), 1e-12)
-            left = np.where(seen, played.target[:ticks] - now, 0.0)
-            step = float((slope * left).sum()) / power
-            noise = 10.0 * float((left**2).sum()) / max(int(seen.sum()), 1)
-            spread = 1.96 * float(np.sqrt(noise / power))
+            slope = (now - before)[seen] / (at - last)
+            step = slope @ (played.target[:ticks] - now)[seen] / max(slope @ slope, 1e-12)
             last, before, at = at, now, at + float(np.clip(step, -0.5 * at, at))
             if abs(at - last) < 1e-4 * at:
                 break
-    return replace(scaled(at), spread=change.size * spread)
+    return scaled(at)
 
 
 def _frames(played: OpenLoop) -> Iterator[Change]:
