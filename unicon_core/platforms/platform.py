@@ -217,6 +217,23 @@ class Pushable(Protocol):
 
 
 @runtime_checkable
+class TakesForces(Protocol):
+    """A simulator that applies `external_force` where its states have it.
+
+    Attributes:
+        bodies: names of the model's bodies by their numbers; the first is the world.
+        weight: of the (first) robot in [N].
+    """
+
+    bodies: tuple[str, ...]
+    weight: float
+
+    def point(self, body: int, place: Float64) -> Float64:
+        """Return where a point [m] of a body of the (first) robot is in the world, shape (3,)."""
+        ...
+
+
+@runtime_checkable
 class Placeable(Protocol):
     """A simulator that can be put where a robot was measured, for twins and identification."""
 

@@ -164,6 +164,27 @@ def standard_states(joint_names: Sequence[str]) -> dict[str, StateSpec]:
     }
 
 
+EXTERNAL_FORCE, EXTERNAL_PUSH = "external_force", "external_push"
+"""What acts on a simulated robot from outside: states of runs in which a viewer may push it."""
+
+
+def external_states() -> dict[str, StateSpec]:
+    """Return the states of a force on one body, and of an impulse on the base.
+
+    A simulator whose facts name `external_force` applies the force for as long as it stands there;
+    whoever writes `external_push` pushes the platform in the same tick.
+    """
+    world = ("x", "y", "z")
+    return {
+        EXTERNAL_FORCE: StateSpec((3,), "float32", "N", "world", world, "force on a body"),
+        "external_force_point": StateSpec((3,), "float32", "m", "world", world, "where it acts"),
+        "external_force_body": StateSpec((), "int32", description="its number in the model; 0: no"),
+        EXTERNAL_PUSH: StateSpec(
+            (2,), "float32", "m/s", "world", ("x", "y"), "added to the velocity of the base"
+        ),
+    }
+
+
 POSE_NAMES = ("x", "y", "z", "qw", "qx", "qy", "qz")
 """Elements of a pose: position in [m], orientation as a unit quaternion."""
 

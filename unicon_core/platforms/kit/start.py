@@ -150,6 +150,20 @@ def tell_bodies(loaded: LoadedModel, payload: AnyMapping, friction: float) -> No
         mujoco.mj_setConst(model, mujoco.MjData(model))  # the solver's inverse inertias follow
 
 
+def tell_joints(loaded: LoadedModel, physics: JointPhysics) -> None:
+    """Put friction [N·m] and armature [kg·m²] of joints in place of the model's own."""
+    model = loaded.model
+    told = {"dof_frictionloss": physics.friction, "dof_armature": physics.armature}
+    if all(np.isnan(values).all() for values in told.values()):
+        return
+    dofs = loaded.dofs
+    for name, values in told.items():
+        array = getattr(model, name)
+        array[dofs] = np.where(np.isnan(values), array[dofs], values)
+    mujoco = import_mujoco()
+    mujoco.mj_setConst(model, mujoco.MjData(model))  # the solver's inverse inertias follow
+
+
 def _carrier(loaded: LoadedModel, name: str) -> int:
     """Return the id of the body that carries the payload."""
     model = loaded.model

@@ -16,21 +16,21 @@ import numpy as np
 
 from unicon_base import AnyDict, AnyMapping, PlatformError, one_line
 from unicon_base.arrays import Array, Float64
-from unicon_core.models.loaded import LoadedModel, import_mujoco
+from unicon_core.models.loaded import import_mujoco
 from unicon_core.models.posed import PosedModel
 from unicon_core.models.terrain import Models
 from unicon_core.platforms.kit.command import Command, delay_of, steps_in, strength_of
 from unicon_core.platforms.kit.joint_model import Passive
 from unicon_core.platforms.kit.scene import BODY_PHYSICS, GANTRY, TERRAIN, Scene
-from unicon_core.platforms.kit.start import hold, initial_positions, tell_bodies
+from unicon_core.platforms.kit.start import hold, initial_positions, tell_bodies, tell_joints
 from unicon_core.platforms.mujoco.batch import Batch, shares
 from unicon_core.platforms.mujoco.servo import Servo
 from unicon_core.platforms.mujoco.simulated_robot import SimulatedRobot
 from unicon_core.platforms.platform import SIMULATED, Facts
 from unicon_core.robots import Robot
-from unicon_core.robots.load import JOINT_PHYSICS, JointPhysics, joint_physics
+from unicon_core.robots.load import JOINT_PHYSICS, joint_physics
 from unicon_core.states import States
-from unicon_core.states.standard import BASE_STATES
+from unicon_core.states.standard import BASE_STATES, EXTERNAL_FORCE, external_states
 
 # Rotor in [kg·m²] that no joint moves: 300 N·m turn it by 4 mrad in 0.5 s.
 _IMMOVABLE = 1e4
@@ -84,7 +84,7 @@ class MujocoPlatform:
         simulated=True,
         batch=True,
         writes=SIMULATED,
-        physics=(*JOINT_PHYSICS, *BODY_PHYSICS, GANTRY, TERRAIN),
+        physics=(*JOINT_PHYSICS, *BODY_PHYSICS, GANTRY, TERRAIN, EXTERNAL_FORCE),
     )
 
     def __init__(
@@ -120,7 +120,7 @@ class MujocoPlatform:
         # A blow-up must be seen: by itself MuJoCo would go on from the initial state.
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self._physics = physics = joint_physics(robot, scene.joints)
-        _tell_joints(mujoco, loaded, physics)
+        tell_joints(loaded, physics)
         self._passive = passive
         self._dofs = loaded.dofs
         if passive == "replace":
@@ -128,6 +128,7 @@ class MujocoPlatform:
         delay = delay_of(physics, float(model.opt.timestep))
         count, self._batch = states.num_robots, None
         command = Command(states, robot.joint_names)
+        forces = [name for name in external_states() if name in states]
         ranks = shares(count or 1)
         self._models = [model, *(copy(model) for _ in ranks[1:])]
         self.robots: list[SimulatedRobot] = []
@@ -139,7 +140,7 @@ class MujocoPlatform:
                 # `[k, ...]` keeps a scalar state a view
                 views = {
                     name: states[name] if count is None else states[name][k, ...]
-                    for name in (*self.facts.writes, *self.facts.reads)
+                    for name in (*self.facts.writes, *self.facts.reads, *forces)
                 }
                 one = SimulatedRobot(
                     mujoco,
@@ -235,6 +236,22 @@ class MujocoPlatform:
         for robot, each in zip(self.robots, np.atleast_2d(velocity)):
             robot.push(each)
 
+    @cached_property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of the model's bodies, "" for none; see `TakesForces`."""
+        return tuple(self.model.body(i).name for i in range(self.model.nbody))
+
+    @property
+    def weight(self) -> float:
+        """Weight of the (first) robot in [N]."""
+        model = self.model
+        root = model.body_rootid[model.dof_bodyid[self._dofs[0]]]
+        return float(model.body_subtreemass[root] * np.linalg.norm(model.opt.gravity))
+
+    def point(self, body: int, place: Float64) -> Float64:
+        """Return where a point of a body is; see `TakesForces`."""
+        return np.asarray(self.data.xpos[body] + self.data.xmat[body].reshape(3, 3) @ place)
+
     def put(self, measured: Mapping[str, Array]) -> None:
         """Put the robot where one was measured, every one of a batch; see `Placeable`."""
         for robot in self.robots:
@@ -256,11 +273,8 @@ class MujocoPlatform:
 
     def unlimited(self) -> AbstractContextManager[None]:
         """Do without the limits of effort for a while, for `--twin`."""
-        limits = [
-            limit
-            for model in self._models
-            for limit in (model.actuator_forcelimited, model.jnt_actfrclimited)
-        ]
+        words = "actuator_forcelimited", "jnt_actfrclimited"
+        limits = [getattr(model, word) for model in self._models for word in words]
         return _set_to(0, limits, slice(None))
 
     def undamped(self) -> AbstractContextManager[None]:
@@ -338,19 +352,6 @@ def _set_to(value: float, arrays: list[Array], places: Any) -> Iterator[None]:
     finally:
         for array, was in zip(arrays, before):
             array[places] = was
-
-
-def _tell_joints(mujoco: Any, loaded: LoadedModel, physics: JointPhysics) -> None:
-    """Put friction [N·m] and armature [kg·m²] of joints in place of the model's own."""
-    model = loaded.model
-    told = {"dof_frictionloss": physics.friction, "dof_armature": physics.armature}
-    if all(np.isnan(values).all() for values in told.values()):
-        return
-    dofs = loaded.dofs
-    for name, values in told.items():
-        array = getattr(model, name)
-        array[dofs] = np.where(np.isnan(values), array[dofs], values)
-    mujoco.mj_setConst(model, mujoco.MjData(model))  # the solver's inverse inertias follow
 
 
 class Viewer:

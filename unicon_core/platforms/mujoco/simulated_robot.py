@@ -16,6 +16,7 @@ from unicon_core.models.posed import PosedModel
 from unicon_core.platforms.kit.command import Command, JointDelay, tick_ns
 from unicon_core.platforms.mujoco.reader import Reader, Rehearsal, without_sensors
 from unicon_core.platforms.mujoco.servo import Servo
+from unicon_core.states.standard import EXTERNAL_FORCE
 
 _TOO_FAST = 1e10  # squared norm of all velocities: no robot's joint turns at 1e5 rad/s
 # Results of the tick that the next one reads, and `mj_step1` does not compute.
@@ -89,6 +90,8 @@ class SimulatedRobot:
         self._option = model.opt
         self._unseen = without_sensors(model)
         self.postponed = False
+        self._pulled = -1  # body on which a force acts; -1: not known
+        self._takes_force = EXTERNAL_FORCE in views
         self._split = model.opt.integrator != int(mujoco.mjtIntegrator.mjINT_RK4)
         self.reset()
 
@@ -102,6 +105,7 @@ class SimulatedRobot:
         mujoco = self._mujoco
         data = self.data
         mujoco.mj_resetData(self.model, data)
+        self._pulled = 0
         data.qpos[:] = self._initial
         data.ctrl[:] = self._extra_ctrl
         self.ticks = 0
@@ -156,6 +160,8 @@ class SimulatedRobot:
         data = self.data
         option = self._option
         left = self._decimation
+        if self._takes_force:
+            self._pull()
         told = option.disableflags
         fresh = self._split  # kinematics of the next step are there: the first one needs half
         option.disableflags = told | self._unseen
@@ -203,6 +209,25 @@ class SimulatedRobot:
         unseen = {name: view.copy() for name, view in self._views.items()}
         read = Reader(self.loaded, self.data, unseen)
         return Rehearsal(self._mujoco, self.model, self.data, read, self._split)
+
+    def _pull(self) -> None:
+        """Let `external_force` act on its body for a tick."""
+        views, forces = self._views, self.data.xfrc_applied
+        body = int(views["external_force_body"])
+        if not body and not self._pulled:
+            return
+        forces[...] = 0.0
+        self._pulled = body
+        if not body:
+            return
+        force, point = (views[n].astype(float) for n in (EXTERNAL_FORCE, "external_force_point"))
+        if not 0 < body < len(forces) or not np.isfinite((force, point)).all():
+            raise Fault(
+                f"{self._who}external_force {force.tolist()} at {point.tolist()} on body {body} is "
+                f"none; give finite numbers and a body from 1 to {len(forces) - 1}, or 0 for no one"
+            )
+        forces[body, :3] = force
+        forces[body, 3:] = np.cross(point - self.data.xipos[body], force)
 
     def push(self, velocity: Float64) -> None:
         """Add to the base's horizontal velocity in [m/s], shape (2,)."""
@@ -266,6 +291,7 @@ class SimulatedRobot:
         data = self.data
         mujoco.mj_setState(model, data, kept["state"], int(mujoco.mjtState.mjSTATE_INTEGRATION))
         self.ticks, self.command[...] = kept["ticks"], kept["command"]
+        self._pulled = -1
         if self.delay is not None:
             memory.load(self.delay, kept["delay"])
         mujoco.mj_step1(model, data)
