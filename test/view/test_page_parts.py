@@ -57,6 +57,9 @@ class Told:
     def drive(self, velocity: Any) -> None:
         self.said.append([round(float(x), 3) for x in velocity])
 
+    def pull(self, body: int, *ends: Any) -> None:
+        self.said.append(("pull", body, *ends))
+
 
 @pytest.fixture
 def told() -> Told:
@@ -138,6 +141,21 @@ def test_who_lets_go_gives_the_command_back(wheel: Wheel, told: Told) -> None:
 def test_without_a_velocity_command_there_is_nothing_to_drive(told: Told) -> None:
     assert "nothing to drive" in Wheel(told, ()).take(1, 0.0)
     assert told.said == []
+    drags = Wheel(told, (), drags=True)
+    assert drags.take(1, 0.0) == ""
+    assert drags.steer(1, (0.5, 0.0, 0.0), 0.1)
+    assert told.said[-1] == [0.0, 0.0, 0.0]
+
+
+def test_only_who_drives_drags_and_silence_releases(wheel: Wheel, told: Told) -> None:
+    ends = (0.0, 0.1, 0.2), (1.0, 0.0, 0.5)
+    assert not wheel.pull(1, 0.0, 3, *ends)
+    wheel.take(1, 0.0)
+    assert not wheel.pull(2, 0.1, 3, *ends)
+    assert wheel.pull(1, 0.1, 3, *ends)
+    assert told.said == ["touch", ("pull", 3, *ends)]
+    assert not wheel.pull(1, DEAD_MAN + 0.01, 3, *ends)
+    assert told.said[2:] == [("pull", 0), [0.0, 0.0, 0.0]]
 
 
 # -- who may look -------------------------------------------------------------------------------

@@ -14,12 +14,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from unicon_base import AnyDict, AnyMapping, EmergencyStopPressed, UniconError, alternatives
+from unicon_base.arrays import Array
 from unicon_core.flow import Block, Stage
+from unicon_core.models.frames import yaw_of
+from unicon_core.platforms.platform import Pushable, TakesForces
 from unicon_core.runtime.phases import Phase
 from unicon_core.states import States
+from unicon_core.states.standard import EXTERNAL_FORCE, EXTERNAL_PUSH, external_states
 from unicon_core.workflow import HookBlocks, Program
 from unicon_core.workflow.flow_yaml import skills_of
-from unicon_lab.view.shown import DEAD_MAN, DRIVING, GIVEN_BACK
+from unicon_lab.view.shown import DEAD_MAN, DRIVING, GIVEN_BACK, pushable
 from unicon_ros.bridge.bindings import told_states
 from unicon_ros.bridge.services import Answer, Controls
 from unicon_ros.parameter_table import RANGES
@@ -40,6 +44,48 @@ LONGEST = 1000
 """Of names and answers, in [B]."""
 
 _ACTS = ("start", "stop", "reset", "pause", "step", "swap")
+
+
+SHARE, REACH = 0.5, 0.5
+"""Largest force of a drag as a part of the robot's weight, and over how much it grows, in [m]."""
+
+LARGEST_PUSH = 2.0
+"""Of a button, in [m/s]."""
+
+
+class Pull:
+    """Lets a simulated robot feel what a viewer drags: a spring from the body to the cursor.
+
+    The force stands in states, which the platform applies and records keep.
+
+    Args:
+        platform: takes the force.
+        states: of the run.
+        told: the states of `PAGE`.
+    """
+
+    def __init__(self, platform: TakesForces, states: States, told: States) -> None:
+        self._largest, self._platform = SHARE * platform.weight, platform
+        self._bodies = len(platform.bodies)
+        self._body, self._place, self._goal = (
+            told[f"view_pull_{word}"] for word in ("body", "place", "goal")
+        )
+        names = (EXTERNAL_FORCE, f"{EXTERNAL_FORCE}_point", f"{EXTERNAL_FORCE}_body")
+        mine = (0, ...) if states.num_robots else ...
+        self._force, self._point, self._number = (states[name][mine] for name in names)
+
+    def __call__(self, fresh: bool) -> None:
+        """Write the force of this tick: none unless the viewer is heard."""
+        body = int(self._body) if fresh and np.isfinite(self._goal + self._place).all() else 0
+        self._number[...] = body = body if 0 < body < self._bodies else 0
+        if not body:
+            self._force[:] = self._point[:] = 0.0
+            return
+        point = self._platform.point(body, self._place.astype(float))
+        force = self._largest / REACH * (self._goal - point)
+        length = float(np.linalg.norm(force))
+        self._force[:] = force * min(1.0, self._largest / max(length, 1e-9))
+        self._point[:] = point
 
 
 class Driver:
@@ -83,6 +129,12 @@ class Driver:
         self._peripheral: Peripheral | None = None
         self._runner: Runner | None = None
         self._skills = skills_of(program)
+        self._pull: Callable[[bool], None] = _nothing
+        states, platform = program.states, program.platform
+        if isinstance(platform, TakesForces) and EXTERNAL_FORCE in states:
+            self._pull = Pull(platform, states, told)
+        self._kick = states[EXTERNAL_PUSH] if pushable(program) else None
+        self._pushes: list[float] = []
 
     def attach(self, peripheral: Peripheral, runner: Runner) -> None:
         """Get to know the viewer's process, and the run."""
@@ -96,7 +148,8 @@ class Driver:
         """
         contested = COMMAND in told_states(self._program)
         amends, writes = ((COMMAND,), ()) if contested else ((), (COMMAND,))
-        hear = Block("viewer", self.hear, amends=amends, writes=writes, endless=True)
+        own = tuple(name for name in external_states() if name in self._program.states)
+        hear = Block("viewer", self.hear, amends=amends, writes=(*writes, *own), endless=True)
         hear.inline = "drives[0] and hear()"
         hear.inline_names = {"drives": self._drives, "hear": self.hear}
         stop = Block("viewer e-stop", self.stop_if_pressed, endless=True)
@@ -115,7 +168,9 @@ class Driver:
         if peripheral():
             self._take(peripheral)
         self._drive()
-        self._drives[0] = self._replaces or self._mode[0] == DRIVING
+        if self._kick is not None:
+            self._push_base(self._kick)
+        self._drives[0] = self._replaces or self._mode[0] == DRIVING or bool(self._pushes)
 
     def listen(self) -> None:
         """Take what a viewer tells; one that drives does so from the next tick on.
@@ -165,6 +220,19 @@ class Driver:
         if self._is_pressed[0]:
             raise EmergencyStopPressed(FAULT)
 
+    def _push_base(self, state: Array) -> None:
+        """Push the base where a viewer wished it before this tick."""
+        pushes, self._pushes = self._pushes, [0.0, 0.0] if any(self._pushes) else []
+        if not pushes:
+            return
+        states, platform = self._program.states, self._program.platform
+        yaw = yaw_of(states["base_quat"].reshape(-1, 4)[0])
+        heading = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+        state[...] = heading @ pushes
+        if any(pushes):
+            assert isinstance(platform, Pushable)
+            platform.push(state.astype(float))
+
     def _drive(self) -> None:
         mode, touch = self._mode[0], self._touch[0]
         if mode == DRIVING and touch > self._lapsed:
@@ -173,11 +241,13 @@ class Driver:
             if fresh and np.isfinite(self._velocity).all():
                 self._command[...] = self._velocity
                 self.driving = 1
+                self._pull(True)
                 return
         elif mode == GIVEN_BACK and self._replaces and touch >= self._driven:
             self._replaces, self._driven = False, touch
             self.driving = 0
             self._program.tell("viewer: the driver has given the command back to the workflow")
+        self._pull(False)
         if not self._replaces:
             return
         self._lapsed = max(self._lapsed, self._driven)  # a new touch is needed
@@ -208,11 +278,25 @@ class Driver:
         if name in _ACTS:
             answer: Answer = getattr(self._controls, name)()
             return answer
+        if name == "push":
+            return self._wish_push([float(x) for x in arguments["velocity"]])
         if name == "skill":
             return self._skill(str(arguments["name"])[:LONGEST])
         if name == "set_parameter":
             return self._set(str(arguments["name"]), float(arguments["value"]))
-        return False, f"no act {name!r}; {alternatives(name, (*_ACTS, 'skill', 'set_parameter'))}"
+        return (
+            False,
+            f"no act {name!r}; {alternatives(name, (*_ACTS, 'skill', 'push', 'set_parameter'))}",
+        )
+
+    def _wish_push(self, velocity: list[float]) -> Answer:
+        if self._kick is None:
+            name = self._program.platform.facts.name
+            return False, f"platform {name!r} cannot push a base; use a simulator that can"
+        if len(velocity) != 2 or not np.linalg.norm(velocity) <= LARGEST_PUSH:
+            return False, f"push is {velocity}; give two numbers, at most {LARGEST_PUSH:g} m/s long"
+        self._pushes, self._drives[0] = velocity, 1
+        return True, f"pushed by {np.linalg.norm(velocity):g} m/s"
 
     def _skill(self, name: str) -> Answer:
         skills = self._skills
@@ -233,3 +317,7 @@ class Driver:
         if not wrong:
             tuning.apply({name: value})
         return not wrong, wrong or f"{name} is {value:g}"
+
+
+def _nothing(_: bool) -> None:
+    """Do nothing: no body may be dragged."""

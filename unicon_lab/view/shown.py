@@ -11,10 +11,12 @@ from unicon_base import UniconError
 from unicon_core.flow import Chain, Node, Switch
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.models.find import model_of, terrain_of
+from unicon_core.platforms.platform import Pushable, TakesForces
 from unicon_core.robots import Robot
 from unicon_core.runtime.phases import Phase
 from unicon_core.show.text import branches, title
 from unicon_core.states import Layout, StateSpec
+from unicon_core.states.standard import EXTERNAL_FORCE, EXTERNAL_PUSH
 from unicon_core.terrain.words import Terrain
 from unicon_core.workflow import Program
 from unicon_core.workflow.flow_yaml import skills_of
@@ -44,6 +46,9 @@ PAGE = peripheral_states(
         "view_touch": StateSpec((), "int64", description="how often a driver has begun"),
         "view_estop": StateSpec((), "int64", description="how often the e-stop was pressed"),
         "view_acts": StateSpec((), "int64", description="how many wishes lie in the pipe"),
+        "view_pull_body": StateSpec((), "int32", description="body that is dragged; 0: none"),
+        "view_pull_place": StateSpec((3,), unit="m", description="where, in the body's frame"),
+        "view_pull_goal": StateSpec((3,), unit="m", frame="world", description="dragged there"),
     },
 )
 """What a viewer's process tells, beside the states of the workflow. Its stamp is when the driver
@@ -109,6 +114,8 @@ class Shown:
         frame_prefix: of ROS frames.
         terrain: the ground under a simulated robot, None for flat.
         swaps: a policy ticks beside another one and may replace it.
+        bodies: names of the simulated bodies by their numbers, where a viewer may drag them.
+        pushes: the base of a simulated robot may be pushed.
     """
 
     workflow: str
@@ -128,6 +135,8 @@ class Shown:
     frame_prefix: str = ""
     terrain: Terrain | None = None
     swaps: bool = False
+    bodies: tuple[str, ...] = ()
+    pushes: bool = False
 
     def tell(self, values: Mapping[str, float]) -> None:
         """Note the present values of parameters; in a viewer's process."""
@@ -154,7 +163,10 @@ def shown_of(
     variables = tuple(graph.places.values())
     numbers = {owner: number for number, owner in enumerate(graph.places)}
     bounds = tuple((bound.low, bound.high) for bound in program.command_bounds)
-    skills = skills_of(program)
+    skills, platform = skills_of(program), program.platform
+    bodies: tuple[str, ...] = ()
+    if isinstance(platform, TakesForces) and EXTERNAL_FORCE in program.states:
+        bodies = platform.bodies
     shown = Shown(
         program.name,
         program.platform.facts.name,
@@ -177,8 +189,17 @@ def shown_of(
         frame_prefix,
         terrain_of(program.platform),
         shadowed_in(program.blocks) is not None,
+        bodies,
+        pushable(program),
     )
     return shown, variables
+
+
+def pushable(program: Program) -> bool:
+    """Tell whether the base of a simulated robot may be pushed, and a record shows it."""
+    platform = program.platform
+    moves = "base_lin_vel" in platform.facts.writes and isinstance(platform, Pushable)
+    return moves and platform.facts.simulated and EXTERNAL_PUSH in program.states
 
 
 def _lines(

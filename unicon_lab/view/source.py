@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from unicon_base import AnyDict
 from unicon_base.arrays import Array, Int64
@@ -153,13 +154,14 @@ class Remote:
     def __init__(self, feed: Feed | None) -> None:
         self._feed, self._lock = feed, threading.Lock()
         self._velocity = np.zeros(3, np.float32)
-        self._mode = self._touch = self._estop = self._acts = self._heard_ns = 0
+        self._mode = self._touch = self._estop = self._acts = self._heard_ns = self._body = 0
+        self._pull = np.zeros((2, 3), np.float32)
 
     def touch(self) -> None:
         """Begin to drive: `drive` counts from here on. After a stall it has to be called again."""
         with self._lock:
             self._touch += 1
-            self._mode, self._heard_ns = DRIVING, time.monotonic_ns()
+            self._mode, self._body, self._heard_ns = DRIVING, 0, time.monotonic_ns()
             self._velocity[:] = 0.0
             self._publish()
 
@@ -179,10 +181,24 @@ class Remote:
             self._heard_ns = now
             self._publish()
 
+    def pull(self, body: int, place: ArrayLike = 0.0, goal: ArrayLike = 0.0) -> None:
+        """Drag a body of a simulated robot while this viewer drives; body 0 releases it.
+
+        Args:
+            body: its number in `Shown.bodies`.
+            place: where it is held, in its frame in [m], shape (3,).
+            goal: where that point is dragged to, in the world in [m], shape (3,).
+        """
+        pull = np.array(np.broadcast_arrays(place, goal, np.zeros(3))[:2], np.float32)
+        with self._lock:
+            self._body = body if np.isfinite(pull).all() else 0
+            self._pull[:] = pull
+            self._publish()
+
     def let_go(self) -> None:
         """Give the command back to the workflow."""
         with self._lock:
-            self._mode = GIVEN_BACK
+            self._mode, self._body = GIVEN_BACK, 0
             self._publish()
 
     def estop(self) -> None:
@@ -192,8 +208,9 @@ class Remote:
             self._publish()
 
     def act(self, name: str, /, **arguments: Any) -> int:
-        """Wish `start`, `stop`, `reset`, `pause`, `step`, `swap`, `skill` (name) or
-        `set_parameter` (name, value); return the number under which the answer comes."""
+        """Wish `start`, `stop`, `reset`, `pause`, `step`, `swap`, `skill` (name), `push` (velocity:
+        forwards and to the left [m/s]) or `set_parameter` (name, value); return the number under
+        which the answer comes."""
         with self._lock:
             self._acts += 1
             if self._feed is not None:
@@ -215,6 +232,9 @@ class Remote:
                 view_touch=self._touch,
                 view_estop=self._estop,
                 view_acts=self._acts,
+                view_pull_body=self._body,
+                view_pull_place=self._pull[0],
+                view_pull_goal=self._pull[1],
             )
 
 
@@ -228,6 +248,7 @@ class Wheel:
     Args:
         remote: what drives.
         bounds: lowest and highest vx, vy [m/s] and wz [rad/s].
+        drags: bodies may be dragged, so that there is something to do without bounds.
 
     Attributes:
         driver: number of the viewer who drives; None for nobody.
@@ -235,10 +256,12 @@ class Wheel:
         lost: why the last driver was lost; "" when nobody was, or somebody drives again.
     """
 
-    def __init__(self, remote: Remote, bounds: Sequence[tuple[float, float]]) -> None:
+    def __init__(
+        self, remote: Remote, bounds: Sequence[tuple[float, float]], drags: bool = False
+    ) -> None:
         self._remote, self._lock = remote, threading.RLock()
         self._low, self._high = np.array(bounds, float).reshape(-1, 2).T
-        self._heard = 0.0
+        self._heard, self._drags = 0.0, drags
         self.driver: int | None = None
         self.velocity = np.zeros(3)
         self.lost = ""
@@ -255,7 +278,7 @@ class Wheel:
         """
         with self._lock:
             self.look(now)
-            if not len(self._low):
+            if not len(self._low) and not self._drags:
                 return "this workflow reads no velocity command: there is nothing to drive"
             if self.driver is not None and self.driver != viewer:
                 return f"viewer {self.driver} drives; ask for the wheel to be let go"
@@ -284,8 +307,18 @@ class Wheel:
             self.look(now)
             if self.driver != viewer or wanted.shape != (3,) or not np.isfinite(wanted).all():
                 return False
-            self.velocity[:] = np.clip(wanted, self._low, self._high)
+            if len(self._low):
+                self.velocity[:] = np.clip(wanted, self._low, self._high)
             return self.heard(viewer, now)
+
+    def pull(self, viewer: int, now: float, body: int, *ends: ArrayLike) -> bool:
+        """Drag a body, as of `Remote.pull`; False where this viewer does not drive."""
+        with self._lock:
+            self.look(now)
+            if self.driver != viewer:
+                return False
+            self._remote.pull(body, *ends)
+            return True
 
     def heard(self, viewer: int, now: float) -> bool:
         """Note that a viewer's page answered; True where it drives on."""
@@ -308,6 +341,7 @@ class Wheel:
         with self._lock:
             if self.driver == viewer:
                 self.velocity[:] = 0.0
+                self._remote.pull(0)
                 self._remote.drive(self.velocity)
                 self.driver = None
                 self.lost = f"the page of viewer {viewer}, who drove, {why}: velocity zero"

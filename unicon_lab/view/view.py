@@ -8,15 +8,19 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Protocol
 from urllib.parse import urlsplit
 
-from unicon_base import AnyDict, AnyMapping, TextSink
+from unicon_base import AnyDict, AnyMapping, PlatformError, TextSink, UniconError
 from unicon_core.flow import Block, Stage
 from unicon_core.handles import FrameRing
 from unicon_core.runtime.phases import Phase
 from unicon_core.states import States
+from unicon_core.states.standard import external_states
 from unicon_core.workflow import HookBlocks, Program, WorkflowDocument
+from unicon_core.workflow.hardware import declared_facts
+from unicon_core.workflow.registry import find_factory
 from unicon_lab.view import PORT
 from unicon_lab.view.driver import Driver
 from unicon_lab.view.shown import DEAD_MAN, HEAD, NAME, PAGE, shown_of
@@ -257,8 +261,13 @@ class View(Fed):
         self._driver: Driver | None = None
 
     def declare(self, document: WorkflowDocument) -> None:
-        """Let the workflow have the states that a viewer's parameters change."""
+        """Let the workflow have the states that a viewer's parameters and pushes change."""
         self._tuning.declare(document)
+        name = document.get("platform")
+        with suppress(UniconError):  # the program will say so
+            if declared_facts(find_factory("platforms", name, PlatformError), name).simulated:
+                known = {n: spec.to_dict() for n, spec in external_states().items()}
+                document.values["states"] = known | document.values["states"]
 
     def hook(self, program: Program) -> HookBlocks:
         """Return the blocks of the viewer. Place it after the hook that receives commands."""
