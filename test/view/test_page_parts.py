@@ -29,8 +29,8 @@ from unicon_lab.view.page.plots import (
     choices,
     curves_of,
     element_choices,
-    graph_html,
     groups,
+    status_html,
 )
 from unicon_lab.view.page.sink import MOST
 from unicon_lab.view.shown import DEAD_MAN, GraphLine
@@ -267,7 +267,13 @@ def test_a_target_is_dashed_beside_what_is_measured(layout: Layout) -> None:
     ]
     assert curves[0].colour == curves[1].colour
     history.take(tick(layout, 1, joint_pos=np.arange(6), joint_pos_target=10 + np.arange(6)))
-    _, measured, target = Plot(layout, history, "joint_pos", LEGS[1], 0.02).data(1.0)
+    plot = Plot(layout, history, "joint_pos", LEGS[1], 0.02)
+    _, measured, target, _ = plot.data(1.0)
+    lines = re.findall(r"<line ([^>]*)/></svg>&nbsp;([^<]*)", plot.legend())
+    assert [(name, "dasharray" in look) for look, name in lines] == [
+        ("FL_thigh_joint", False),
+        ("FL_thigh_joint target", True),
+    ]
     assert (measured.tolist(), target.tolist()) == ([1.0], [11.0])
 
 
@@ -283,7 +289,7 @@ def test_velocity_has_what_is_commanded_beside_it_and_titles_have_units(layout: 
         )
     )
     plot = Plot(layout, history, VELOCITY, ALL, 0.02)
-    assert [float(x[0]) for x in plot.data(1.0)] == pytest.approx([0.1, 4, 1, 5, 2, 6, 3])
+    assert [float(x[0]) for x in plot.data(1.0)[:-1]] == pytest.approx([0.1, 4, 1, 5, 2, 6, 3])
     assert plot.title == "velocity, commanded dashed [m/s, rad/s]"
     assert Plot(layout, history, "base_lin_acc", ALL, 0.02).title == "base_lin_acc [m/s²] in base"
     assert "FL_hip_joint" in element_choices(layout, "joint_pos")
@@ -310,6 +316,34 @@ def test_history_keeps_the_last_seconds_and_the_worst_of_the_ticks_between(
     assert data[3][0] == pytest.approx(period * 1e3)  # the deadline
 
 
+@pytest.mark.parametrize(("noise", "spans"), [(0.001, 0.02), (0.3, 0.6)])
+def test_an_axis_does_not_magnify_noise(layout: Layout, noise: float, spans: float) -> None:
+    history = History(layout, 0.02)
+    for number in range(9):
+        where = 0.5 + noise * (-1) ** number
+        history.take(tick(layout, number, joint_pos=where, joint_pos_target=0.5))
+    plot = Plot(layout, history, "base_quat", ALL, 0.02)
+    assert len(plot.series()) == len(plot.data(9.0))
+    plot = Plot(layout, history, "joint_pos", LEGS[0], 0.02)
+    seen = np.concatenate([plot.data(9.0)[1], plot.data(9.0)[-1]])
+    assert np.nanmax(seen) - np.nanmin(seen) == pytest.approx(spans, rel=1e-3)
+    assert plot.series()[-1]["stroke"] == "transparent"
+
+
+def test_the_state_beside_the_estop_is_short_and_says_what_is_wrong(layout: Layout) -> None:
+    def brief(stale: float = 0.0, paused: bool = False, **texts: Any) -> tuple[str, bool]:
+        seen = tick(layout, 100)
+        seen.phase, seen.paused, seen.overruns = 0, paused, 0
+        shown: Any = SimpleNamespace(phases=("run",), period=0.02, skills=())
+        return status_html(shown, seen, History(layout, 0.02), 50.0, texts, "", stale)[1:]
+
+    assert brief() == ("run\n2.0 s · 50 Hz", False)
+    assert brief(paused=True, stale=9.0) == ("run, paused\n2.0 s · 50 Hz", False)
+    assert brief(stale=3.0) == ("run: no tick for 3 s", True)
+    assert brief(waits_for="the go") == ("run\n2.0 s\nwaits for the go · 50 Hz", False)
+    assert brief(faults=["tilted <45°"]) == ("tilted <45°", True)
+
+
 def test_a_reset_begins_the_plots_anew(layout: Layout) -> None:
     history = History(layout, 0.02)
     for number in (10, 11, 12, 3):
@@ -319,11 +353,14 @@ def test_a_reset_begins_the_plots_anew(layout: Layout) -> None:
 
 def test_a_plot_before_the_first_tick_is_empty_but_there(layout: Layout) -> None:
     data = Plot(layout, History(layout, 0.02), "joint_pos", ALL, 0.02).data(5.0)
-    assert len(data) == 1 + 2 * len(LEGS)
+    assert len(data) == 2 + 2 * len(LEGS)
     assert np.isnan(data[1]).all()
 
 
 def test_the_running_part_of_the_graph_stands_out() -> None:
+    pytest.importorskip("viser", reason="no live page: pip install 'unicon_ros[view]'")
+    from unicon_lab.view.page.panel import graph_html
+
     lines = [
         GraphLine(0, "chain", (), 0),
         GraphLine(1, "<b>", ((0, 1),)),
@@ -332,50 +369,6 @@ def test_the_running_part_of_the_graph_stands_out() -> None:
     html = graph_html(lines, [1])
     assert "▸ &lt;b&gt;" in html
     assert "· c" in html
-
-
-@pytest.mark.parametrize(
-    ("text", "state"),
-    [
-        ('7 {"hidden": false, "stops": 0}', {"hidden": False, "stops": 0}),
-        ("", None),
-        ("7", None),
-        ("7 []", None),
-        ("7 {", None),
-        ("7 " + "[" * 100_000, None),
-    ],
-)
-def test_a_heartbeat_is_read_and_garbage_is_not(text: str, state: Any) -> None:
-    pytest.importorskip("viser", reason="no live page: pip install 'unicon_ros[view]'")
-    from unicon_lab.view.page.viewer import state_of
-
-    assert state_of(text) == state
-
-
-def test_a_robot_is_drawn_with_bones_where_its_model_has_no_looks(tmp_path: Path) -> None:
-    pytest.importorskip("viser", reason="no live page: pip install 'unicon_ros[view]'")
-    import mujoco
-
-    from unicon_core.models.loaded import LoadedModel
-    from unicon_lab.view.page.scene import shapes_of
-
-    text = """<mujoco><worldbody><body name="trunk" pos="0 0 1"><freejoint/>
-        <geom type="capsule" size="0.1 0.2" rgba="1 0 0 1"/>
-        <geom type="box" size="0.1 0.2 0.3" pos="0 0 1" rgba="0 1 0 1"/>
-        <body name="thigh" pos="0 0.2 0"><joint/>
-        <inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>
-        <body name="calf" pos="0 0 -0.5"><joint/>
-        <inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/></body></body></body>
-        </worldbody></mujoco>"""
-    model = mujoco.MjModel.from_xml_string(text)
-    shapes = shapes_of(LoadedModel(model, tmp_path, [1, 2]))
-    capsule, box, bone = shapes
-    assert np.ptp(capsule.vertices, axis=0) == pytest.approx([0.2, 0.2, 0.6], rel=0.05)
-    assert np.allclose(capsule.vertices.mean(axis=0), 0.0, atol=0.02)
-    assert box.vertices.min(axis=0) == pytest.approx([-0.1, -0.2, 0.7])
-    assert (bone.body, capsule.body) == (2, 1)  # from the thigh to the calf
-    assert bone.vertices[:, 2].min() == pytest.approx(-0.5, abs=0.01)
-    assert all(shape.faces.max() < len(shape.vertices) for shape in shapes)
 
 
 # -- docs/howto/view.md --------------------------------------------------------------------------

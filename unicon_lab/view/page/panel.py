@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
+from html import escape
 from typing import Any
 
 from unicon_lab.view.page.plots import (
     ALL,
+    COMMANDED,
+    MEASURED,
+    STYLE,
     TIMES,
     VELOCITY,
     History,
     Plot,
     choices,
     element_choices,
-    legend_html,
 )
 from unicon_lab.view.page.scene import Scene
-from unicon_lab.view.shown import Parameter, Shown
+from unicon_lab.view.shown import GraphLine, Parameter, Shown
 
 NONE = "nothing"
+PANEL = 300
+"""Width of the panel at the right in [px]."""
+_WIDE = 1050  # [px]: a narrower page has narrower plots
 _AXES = ("vx [m/s]", "vy [m/s]", "wz [rad/s]")
+_PUSH, _PUSHES = 0.5, {"front": (1, 0), "back": (-1, 0), "left": (0, 1), "right": (0, -1)}
 _HINTS = ("forwards", "to the left", "turning to the left")
 
 
@@ -51,6 +58,7 @@ class Chart:
         self._gui, self._shown, self._history = gui, shown, history
         self._folder = gui.add_folder(None)
         self._chart: Any = None
+        self._legend: Any = None
         self._plot: Plot
         with self._folder:
             known = (*choices(shown.layout, history), NONE)
@@ -76,6 +84,7 @@ class Chart:
             elements.value, elements.visible = known[0], len(known) > 1
         if self._chart is not None:
             self._chart.remove()
+            self._legend.remove()
             self._chart = None
         plot = Plot(layout, self._history, state, elements.value, self._shown.period)
         self._plot = plot
@@ -88,11 +97,12 @@ class Chart:
                 title=plot.title,
                 scales={"x": {"time": False}},
                 axes=({"label": "time [s]", "size": 38, "labelSize": 18},
-                      {"label": f"[{plot.unit}]" if plot.unit else "value", "size": 52,
+                      {"label": f"[{plot.unit}]" if plot.unit else "value", "size": 62,
                        "labelSize": 18}),
-                legend={"show": True, "live": False},
+                legend={"show": False},
                 height=175,
             )  # fmt: skip
+            self._legend = self._gui.add_html(plot.legend())
 
 
 class Panel:
@@ -123,12 +133,13 @@ class Panel:
         self._gui, self._do, self._shown = client.gui, do, shown
         self._html: dict[int, str] = {}
         gui = client.gui
-        gui.configure_theme(show_logo=False, show_share_button=False)
+        self.dark(False)
         gui.set_panel_label(f"{shown.workflow} · {shown.robot.name} · {shown.platform}")
         gui.main_panel.dock_right()
-        gui.main_panel.set_width(370)
+        gui.main_panel.set_width(PANEL)
         self.stop: Any = None
         self.status = gui.add_html("")
+        _on(gui.add_button("Plots", color="gray").on_click, self._plot)
         self.sliders: list[Any] = []
         self._wheel: Any = None
         self.time: Any = None
@@ -143,25 +154,30 @@ class Panel:
                 ("velocity arrows", "arrows"),
                 ("contacts", "contacts"),
                 ("path", "path"),
+                ("ghost of the targets", "ghost"),
             ):
-                box = gui.add_checkbox(label, True)
+                box = gui.add_checkbox(label, getattr(scene, name))
                 _on(box.on_update, partial(self._switch, scene, name))
-        gui.add_html(legend_html(bool(shown.robot.feet)))
+            gui.add_html(legend_html(bool(shown.robot.feet)))
         with gui.add_folder("running part of the graph", visible=bool(shown.graph)):
             self.graph = gui.add_html("")
         if span is None and shown.parameters:
             with gui.add_folder("Parameters", expand_by_default=False):
                 for name, parameter in shown.parameters.items():
                     self._parameter(gui, name, parameter)
-        plots = gui.add_panel()
-        with plots.add_tab("Plots"):
+        self.plots = gui.add_panel(visible=False)
+        with self.plots.add_tab("Plots"):
             self.window = gui.add_slider("last [s]", 1.0, 12.0, 1.0, 6.0)
             last = TIMES if span is None else "joint_effort"  # a recording's ticks are not timed
             self.charts = [
                 Chart(gui, shown, history, first) for first in (VELOCITY, "joint_pos", last)
             ]
-        plots.dock_left()
-        plots.set_width(400)
+        self.plots.dock_left()
+        self.plots.set_width(400 if client.camera.image_width > _WIDE else PANEL)
+
+    def dark(self, dark: bool) -> None:
+        """Colour the page for light or dark surroundings."""
+        self._gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False)
 
     def tell(self, widget: Any, text: str) -> None:
         """Set a text, where it is another one than before."""
@@ -205,17 +221,23 @@ class Panel:
     def _live(self, gui: Any, number: int) -> None:
         self.stop = self._button(gui, "E-STOP", "estop", "red", visible=False)
         shown = self._shown
-        if shown.drives:
+        drag = " Who drives drags bodies, by a spring; else a drag turns the view."
+        drag = drag if shown.bodies else ""
+        if shown.drives or shown.pushes or shown.bodies:
             with gui.add_folder("Drive"):
                 self._wheel = self._button(gui, "Take the wheel", "wheel", "blue")
                 for axis, hint, (low, high) in zip(_AXES, _HINTS, shown.command_bounds):
                     self.sliders.append(self._slider(gui, axis, hint, low, high))
-                self._button(gui, "Zero velocity", "zero", "gray")
+                if shown.drives:
+                    self._button(gui, "Zero velocity", "zero", "gray")
                 gui.add_html(
-                    '<div style="font:12px/1.4 system-ui,sans-serif;color:#667;padding:0 12px 6px">'
+                    '<div style="font:12px/1.4 system-ui,sans-serif;opacity:.65;padding:0 9px 6px">'
                     "Gamepad: left stick vx, vy; right stick wz. Keys: I K forwards and back, "
-                    "U O sideways, J L turn; half speed, with Shift full.</div>"
+                    f"U O sideways, J L turn; half speed, with Shift full.{drag}</div>"
                 )
+                if shown.pushes:
+                    group = gui.add_button_group(f"push {_PUSH:g} m/s", tuple(_PUSHES))
+                    _on(group.on_click, self._pushed)
         with gui.add_folder("Run"):
             self._acts(gui, "start", "stop")
             if shown.simulated:
@@ -226,9 +248,16 @@ class Panel:
                 group = gui.add_button_group("skill", shown.skills)
                 _on(group.on_click, lambda e: self._do("act", "skill", {"name": e.target.value}))
 
+    def _plot(self, _: Any) -> None:
+        self.plots.visible = not self.plots.visible
+
     @staticmethod
     def _switch(scene: Scene, name: str, event: Any) -> None:
         setattr(scene, name, event.target.value)
+
+    def _pushed(self, event: Any) -> None:
+        velocity = [_PUSH * x for x in _PUSHES[event.target.value]]
+        self._do("act", "push", {"velocity": velocity})
 
     def _acts(self, gui: Any, *names: str) -> None:
         group = gui.add_button_group(" ", names)
@@ -267,3 +296,38 @@ class Panel:
             speed = gui.add_dropdown("speed", ("0.25", "0.5", "1", "2", "5", "10"), "1")
         _on(self.time.on_update, lambda _: self._do("seek", self.time.value))
         _on(speed.on_update, lambda _: self._do("speed", float(speed.value)))
+
+
+def graph_html(graph: Sequence[GraphLine], counters: Sequence[int]) -> str:
+    """Return the tree of the workflow, what runs in this tick in full colour."""
+    lines = []
+    for line in graph:
+        try:
+            runs = line.runs(list(counters))
+        except IndexError:
+            runs = True
+        look = "font-weight:600" if runs else "opacity:.65"
+        mark = "▸" if runs else "·"
+        lines.append(
+            f'<div style="padding-left:{12 * line.depth}px;{look}">{mark} {escape(line.text)}</div>'
+        )
+    return (
+        f'<div style="{STYLE};white-space:nowrap;overflow-x:auto;font-size:12px">'
+        f"{''.join(lines)}</div>"
+    )
+
+
+def legend_html(contacts: bool) -> str:
+    """Return what the colours in the 3D view mean."""
+    items = [
+        (COMMANDED, "commanded velocity"),
+        (MEASURED, "measured velocity"),
+        ((90, 90, 200), "path of the base"),
+    ]
+    if contacts:
+        items.append(((214, 39, 40), "foot in contact"))
+    marks = " &nbsp; ".join(
+        f'<span style="color:rgb{colour};font-size:16px">■</span>&nbsp;{text}'
+        for colour, text in items
+    )
+    return f'<div style="{STYLE}">{marks}<br>arrows: 0.6 m for 1 m/s; grid: 1 m</div>'

@@ -11,7 +11,7 @@ import numpy as np
 from unicon_base import AnyDict, AnyMapping
 from unicon_base.arrays import Float32, Float64
 from unicon_core.states import Layout
-from unicon_lab.view.shown import GraphLine, Shown
+from unicon_lab.view.shown import Shown
 from unicon_lab.view.source import Snapshot
 
 SECONDS = 12.0
@@ -94,6 +94,9 @@ TIMES = "tick timing, deadline dashed"
 _TARGETS = {"joint_pos": "joint_pos_target", "joint_vel": "joint_vel_target"}
 _MEASURED = (("base_lin_vel", 0), ("base_lin_vel", 1), ("base_ang_vel", 2))
 _VELOCITIES = (("vx", "m/s"), ("vy", "m/s"), ("wz", "rad/s"))
+_LEAST = {"rad": 0.02, "m": 0.01, "m/s": 0.05, "rad/s": 0.05, "N·m": 0.5, "m/s²": 0.5, "ms": 0.1}
+"""By unit, what an axis spans at least: noise below it is not magnified."""
+
 _GROUP = 8  # elements of a group at most, where names divide further
 
 POINTS = 300
@@ -256,7 +259,17 @@ class Plot:
         time, rows = time[offset::stride], rows[offset::stride]
         if not len(time):
             time, rows = np.zeros(1), np.full((1, rows.shape[1]), np.nan, np.float32)
-        return (np.array(time), *(self._values(curve, rows) for curve in self.curves))
+        values = [self._values(curve, rows) for curve in self.curves]
+        return (np.array(time), *values, self._span(values, len(time)))
+
+    def _span(self, values: Sequence[Float64], count: int) -> Float64:
+        """Return what is not drawn but lets the axis span as much as its unit needs, shape (m,)."""
+        span, every = np.full(count, np.nan), np.concatenate(values or [np.zeros(0)])
+        every = every[np.isfinite(every)]
+        if len(every):
+            least = max(_LEAST.get(unit, 0.0) for unit in self.unit.split(", "))
+            span[[0, -1]] = 0.5 * (every.min() + every.max()) + np.array((-0.5, 0.5)) * least
+        return span
 
     def _values(self, curve: Curve, rows: Float32) -> Float64:
         if curve.column < 0:
@@ -275,23 +288,35 @@ class Plot:
             }
             for curve in self.curves
         ]
-        return ({"label": "time [s]"}, *lines)
+        span = {"label": "", "stroke": "transparent", "points": {"show": False}}
+        return ({"label": "time [s]"}, *lines, span)
+
+    def legend(self) -> str:
+        """Return the names of the curves beside pieces of their lines, as HTML."""
+        dash = 'stroke-dasharray="5 3"'
+        items = "".join(
+            f'<span style="white-space:nowrap"><svg width="26" height="8"><line x1="1" y1="4" '
+            f'x2="25" y2="4" stroke="{curve.colour}" stroke-width="2" {dash * curve.dashed}/></svg>'
+            f"&nbsp;{escape(curve.label)}</span> "
+            for curve in self.curves
+        )
+        return f'<div style="{STYLE};display:flex;flex-wrap:wrap;gap:0 12px">{items}</div>'
 
 
 COMMANDED, MEASURED = (31, 119, 180), (255, 127, 14)
 """Colours of the velocity arrows, and of their legend."""
 
-_STYLE = "font:13px/1.45 system-ui,sans-serif;padding:2px 12px 6px"
+STYLE = "font:13px/1.45 system-ui,sans-serif;padding:2px 12px 6px"
 
 
 def table(rows: Mapping[str, str]) -> str:
     """Return names and what is said of them, as HTML."""
     cells = "".join(
-        f'<tr><td style="color:#667;padding-right:10px;vertical-align:top;white-space:nowrap">'
+        f'<tr><td style="opacity:.65;padding-right:10px;vertical-align:top;white-space:nowrap">'
         f"{name}</td><td>{value}</td></tr>"
         for name, value in rows.items()
     )
-    return f'<div style="{_STYLE}"><table>{cells}</table></div>'
+    return f'<div style="{STYLE}"><table>{cells}</table></div>'
 
 
 def status_html(
@@ -302,8 +327,10 @@ def status_html(
     texts: AnyDict,
     driver: str,
     stale: float,
-) -> str:
+) -> tuple[str, str, bool]:
     """Return how the run is: phase, timing against the deadline, faults, gates, who drives.
+
+    As HTML, in a few words for the place beside the e-stop, and whether something is wrong.
 
     Args:
         shown: the run.
@@ -317,18 +344,25 @@ def status_html(
     _, rows = history.last(2.0)
     late, busy = (rows[:, history.columns[name].start] for name in TIMING)
     phase = shown.phases[tick.phase] if tick.phase < len(shown.phases) else str(tick.phase)
-    phase = f"<b>{escape(phase)}</b>" + (", paused" if tick.paused else "")
-    if stale > 1.0 and not tick.paused:
-        phase += f" {_red(f'no tick for {stale:.0f} s')}"
-    found = {"phase": phase}
+    brief = phase + (", paused" if tick.paused else "")
+    found = {"phase": f"<b>{escape(phase)}</b>{brief.removeprefix(phase)}"}
+    faults, silent = list(map(str, texts.get("faults", ()))), stale > 1.0 and not tick.paused
+    if silent:
+        silence = f"no tick for {stale:.0f} s"
+        found["phase"] += f" {_red(silence)}"
+        brief += f": {silence}"
+    else:
+        brief += f"\n{tick.tick * shown.period:.1f} s"
     if texts.get("waits_for"):
-        found["waits for"] = f'<b style="color:#b60">{escape(texts["waits_for"])}</b>'
+        brief += f"\nwaits for {texts['waits_for']}"
+        found["waits for"] = f'<b style="color:#e8590c">{escape(texts["waits_for"])}</b>'
     if "skill" in tick.states and shown.skills:
         number = int(tick.states["skill"].reshape(-1)[0])
         name = shown.skills[number] if 0 <= number < len(shown.skills) else "none"
         found["skill"] = f"<b>{escape(name)}</b>"
     found["tick"] = f"{tick.tick} · {tick.tick * shown.period:.1f} s"
     if texts.get("timed", True):
+        brief += f" · {rate:.0f} Hz" if not silent else ""
         found["rate"] = f"{rate:.1f} Hz, wanted {1.0 / shown.period:.1f} Hz"
         if len(rows):
             deadline = shown.period * 1e3
@@ -340,47 +374,13 @@ def status_html(
         found["overruns"] = _red(overruns) if tick.overruns else overruns
     if driver:
         found["driver"] = escape(driver)
-    if faults := texts.get("faults"):
-        found["fault"] = "<br>".join(_red(str(fault)) for fault in faults)
+    if faults:
+        brief = faults[0]
+        found["fault"] = "<br>".join(map(_red, faults))
     if notes := texts.get("notes"):
         found["notes"] = "<br>".join(escape(str(note)) for note in notes[-3:])
-    return table(found)
+    return table(found), brief, bool(faults) or silent
 
 
 def _red(text: str) -> str:
-    return f'<span style="color:#c00;font-weight:600">{escape(text)}</span>'
-
-
-def graph_html(graph: Sequence[GraphLine], counters: Sequence[int]) -> str:
-    """Return the tree of the workflow, what runs in this tick in full colour."""
-    lines = []
-    for line in graph:
-        try:
-            runs = line.runs(list(counters))
-        except IndexError:
-            runs = True
-        look = "color:#111;font-weight:600" if runs else "color:#aab"
-        mark = "▸" if runs else "·"
-        lines.append(
-            f'<div style="padding-left:{12 * line.depth}px;{look}">{mark} {escape(line.text)}</div>'
-        )
-    return (
-        f'<div style="{_STYLE};white-space:nowrap;overflow-x:auto;font-size:12px">'
-        f"{''.join(lines)}</div>"
-    )
-
-
-def legend_html(contacts: bool) -> str:
-    """Return what the colours in the 3D view mean."""
-    items = [
-        (COMMANDED, "commanded velocity"),
-        (MEASURED, "measured velocity"),
-        ((90, 90, 200), "path of the base"),
-    ]
-    if contacts:
-        items.append(((214, 39, 40), "foot in contact"))
-    marks = " &nbsp; ".join(
-        f'<span style="color:rgb{colour};font-size:16px">■</span>&nbsp;{text}'
-        for colour, text in items
-    )
-    return f'<div style="{_STYLE}">{marks}<br>arrows: 0.6 m for 1 m/s; grid: 1 m</div>'
+    return f'<span style="color:#e03131;font-weight:600">{escape(text)}</span>'

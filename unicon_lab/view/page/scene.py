@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from typing import Any
 
 import numpy as np
-from viser import _messages
+from numpy.typing import ArrayLike
 
 from unicon_base import AnyDict
 from unicon_base.arrays import Array, Float32, Float64
@@ -15,19 +15,21 @@ from unicon_core.models.frames import yaw_of
 from unicon_core.models.loaded import floors, import_mujoco
 from unicon_core.models.posed import PosedModel, foot_bodies, foot_geoms
 from unicon_core.models.terrain import load_on
+from unicon_core.platforms.kit.base import rotation
+from unicon_core.states.standard import EXTERNAL_FORCE
 from unicon_lab.view.page.plots import COMMANDED, MEASURED
-from unicon_lab.view.page.shapes import shapes_of
+from unicon_lab.view.page.shapes import Looks, move, shapes_of
 from unicon_lab.view.shown import Shown
 
 _PATH = (90, 90, 200)
 _FOOT = (214, 39, 40)
-_GRID, _HALF = (200, 204, 212), 12  # [m] from the middle to the edge
+_GRID, _HALF = (140, 146, 158), 12  # [m] from the middle to the edge
 _STEP, _LONGEST = 0.03, 2000  # [m] between points of the path, and points at most
 TOUCHING = 0.005
 """A foot nearer to the floor stands on it, [m]."""
 
-_STILL = 1e-5  # [m], and of a quaternion: what moved less stays where it is
 _ABOVE = 0.2  # [m] from the highest joint to the arrows
+_WHOLE = 30.0  # [N]: less than that is drawn as a shorter arrow
 _SURE = 0.5  # of `foot_contact`
 
 
@@ -41,6 +43,7 @@ class Pose:
         feet: foot to its place in the world, [m], shape (3,).
         touching: feet that stand.
         arrows: from and to of the commanded and of the measured velocity, shape (2, 2, 3).
+        force: of a viewer on a body, in the world in [N], and where it acts in [m], shape (2, 3).
     """
 
     def __init__(self, bodies: int) -> None:
@@ -49,6 +52,7 @@ class Pose:
         self.feet: dict[str, Float64] = {}
         self.touching: frozenset[str] = frozenset()
         self.arrows = np.zeros((2, 2, 3))
+        self.force = np.zeros((2, 3))
 
 
 class Stage:
@@ -56,6 +60,13 @@ class Stage:
 
     Args:
         shown: the run.
+
+    Attributes:
+        shapes: of its bodies.
+        dragged: bodies that a viewer may drag, to their numbers in `Shown.bodies`.
+        size: of the robot in its default pose, corner to corner, in [m].
+        middle: of the robot then, from the point on the ground below its base, in [m], shape (3,).
+        pose: of the newest tick.
 
     Raises:
         UniconError: the model cannot be read.
@@ -67,6 +78,12 @@ class Stage:
         loaded = load_on(shown.model, shown.robot, shown.terrain)
         self._posed, self._model = PosedModel(loaded), loaded.model
         self.shapes = shapes_of(loaded)
+        names = {name: number for number, name in enumerate(shown.bodies) if number and name}
+        self.dragged = {
+            body: number
+            for body in range(1, loaded.model.nbody)
+            if (number := names.get(loaded.model.body(body).name))
+        }
         self._floats = loaded.base is not None
         feet = tuple(shown.robot.feet)
         self._feet = foot_bodies(loaded.model, feet)
@@ -78,10 +95,23 @@ class Stage:
                 loaded.model.geom_margin[geoms] = TOUCHING
         base = loaded.base
         self._body = 1 if base is None else int(loaded.model.jnt_bodyid[base])
-        self.size = float(np.clip(loaded.model.stat.extent, 0.3, 3.0))
         self.pose = Pose(loaded.model.nbody)
+        self._target: PosedModel | None = None
         self._path = np.zeros((_LONGEST, 3), np.float32)
         self._points, self._tick, self._above = 0, -1, 0.0
+        self._stamp = 0
+        start = np.array((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
+        data = self._stand(np.nan_to_num(shown.robot.default_joint_pos), start)
+        own = loaded.model.body_rootid == loaded.model.body_rootid[self._body]
+        seen = [
+            data.xpos[shape.body] + shape.vertices @ data.xmat[shape.body].reshape(3, 3).T
+            for shape in self.shapes
+            if own[shape.body]
+        ]
+        corners = np.vstack(seen or [data.xpos])
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        self.size = max(float(np.linalg.norm(high - low)), 0.1)
+        self.middle = 0.5 * (low + high) - data.xpos[self._body] * (1.0, 1.0, 0.0)
 
     @property
     def path(self) -> Float32:
@@ -93,17 +123,12 @@ class Stage:
         pose = self.pose
         if tick == self._tick:
             return pose
-        if tick < self._tick:
+        stamp = int(states["stamp_ns"].item()) if "stamp_ns" in states else 0
+        if tick < self._tick or stamp < self._stamp:  # a reset
             self._points = 0
-        self._tick = tick
+        self._tick, self._stamp = tick, stamp
         joints = np.nan_to_num(np.asarray(states["joint_pos"], float))
-        place = self._base(states)
-        data = self._posed.put(joints, place)
-        if self._floats and not place[:3].any():  # nobody measures where it is: stand it up
-            heights = self._posed.heights()
-            if heights:
-                place[2] -= min(heights.values())
-                data = self._posed.put(joints, place)
+        data = self._stand(joints, self._base(states))
         pose.position[...], pose.quat[...] = data.xpos, data.xquat
         pose.base[...] = data.xpos[self._body]
         if not self._above:
@@ -113,8 +138,40 @@ class Stage:
         pose.feet |= {foot: np.array(data.geom_xpos[g[0]]) for foot, g in self._soles.items()}
         pose.touching = self._contacts(states)
         self._arrows(states, pose)
+        if EXTERNAL_FORCE in states:
+            pose.force[:] = states[EXTERNAL_FORCE], states[f"{EXTERNAL_FORCE}_point"]
         self._walk(pose.base)
         return pose
+
+    def held(self, body: int, point: ArrayLike) -> Float64:
+        """Return where a point of the world is in the frame of a body, in [m], shape (3,)."""
+        turned = rotation(self.pose.quat[body])
+        return np.asarray((np.asarray(point) - self.pose.position[body]) @ turned)
+
+    def ghost(self, states: Mapping[str, Array]) -> tuple[Float64, Float64]:
+        """Return positions and quaternions of bodies at `joint_pos_target`, on the base of `pose`.
+
+        Joints without stiffness are where they are measured: their targets mean nothing.
+        """
+        if self._target is None:
+            self._target = PosedModel(self._posed.loaded)
+        target = np.asarray(states["joint_pos_target"], float)
+        held = np.isfinite(target) & (np.asarray(states["joint_stiffness"], float) > 0.0)
+        joints = np.where(held, target, np.nan_to_num(np.asarray(states["joint_pos"], float)))
+        base = self._body
+        place = np.concatenate([self.pose.position[base], self.pose.quat[base]])
+        data = self._target.put(joints, place)
+        return data.xpos, data.xquat
+
+    def _stand(self, joints: Float64, place: Float64) -> Any:
+        """Put the model somewhere, on the ground where the base has no measured position."""
+        data = self._posed.put(joints, place)
+        if self._floats and not place[:3].any():
+            heights = self._posed.heights()
+            if heights:
+                place[2] -= min(heights.values())
+                data = self._posed.put(joints, place)
+        return data
 
     def _base(self, states: Mapping[str, Array]) -> Float64:
         place = np.zeros(7)
@@ -173,23 +230,6 @@ class Stage:
         self._points += 1
 
 
-def move(node: Any, position: Sequence[float], quat: Sequence[float] | None = None) -> None:
-    """Put a node of a scene where it has moved to.
-
-    Its own properties compare with what was there, which took half of a viewer's time.
-
-    Args:
-        node: viser's handle.
-        position: in its parent in [m], three numbers.
-        quat: likewise, wxyz; None where it never turns.
-    """
-    inside = node._impl
-    queue = inside.api._queue_scene_message
-    queue(_messages.SetPositionMessage(inside.name, tuple(position)))
-    if quat is not None:
-        queue(_messages.SetOrientationMessage(inside.name, tuple(quat)))
-
-
 class Scene:
     """What one viewer sees in 3D.
 
@@ -199,12 +239,15 @@ class Scene:
 
     Attributes:
         follow: the robot stays in the middle, and the ground passes below it.
-        arrows, contacts, path: whether they are shown.
+        arrows, contacts, path, ghost: whether they are shown.
     """
 
     def __init__(self, api: Any, stage: Stage | None) -> None:
-        self._stage = stage
+        self._stage, self._api = stage, api
+        self._force: list[Any] = []
         self.follow = self.arrows = self.contacts = self.path = True
+        self.ghost = False
+        self._ghost: Looks | None = None
         api.set_up_direction("+z")
         # Shadows, reflections and viser's grid are dear where no GPU draws.
         api.configure_default_lights(True, False)
@@ -215,61 +258,50 @@ class Scene:
         self._world = api.add_frame("/world", show_axes=False)
         api.add_frame("/world/origin", axes_length=0.3, axes_radius=0.006)
         self._ground = api.add_line_segments("/world/ground", _squares(), _GRID, line_width=1.5)
-        self._bodies: dict[int, Any] = {}
         self._feet: AnyDict = {}
         self._drawn, self._middle = -1, (0.0, 0.0)
         if stage is None:
             return
-        self._poses = np.full((len(stage.pose.position), 7), np.inf)
-        for body in sorted({shape.body for shape in stage.shapes}):
-            self._bodies[body] = api.add_frame(f"/world/body_{body}", show_axes=False)
-        for number, shape in enumerate(stage.shapes):
-            opacity = shape.rgba[3]
-            api.add_mesh_simple(
-                f"/world/body_{shape.body}/shape_{number}",
-                shape.vertices,
-                shape.faces,
-                color=tuple(round(255 * x) for x in shape.rgba[:3]),
-                opacity=None if opacity > 0.98 else opacity,
-                flat_shading=True,
-                side="double",
-            )
+        self._robot = Looks(api, stage.shapes, "body")
         for foot in stage.pose.feet or stage._feet:
             self._feet[foot] = api.add_icosphere(
                 f"/world/contact_{foot}", radius=0.03, color=_FOOT, opacity=0.75, visible=False
             )
-        radius = 0.012
         self._lines = api.add_line_segments(
             "/world/path", np.zeros((1, 2, 3), np.float32), _PATH, line_width=3.0
         )
-        self._velocity = [
-            api.add_arrows(
-                f"/world/{name}",
-                np.zeros((1, 2, 3), np.float32),
-                colour,
-                shaft_radius=radius,
-                head_radius=2.5 * radius,
-                head_length=5.0 * radius,
-            )
-            for name, colour in (("commanded", COMMANDED), ("measured", MEASURED))
-        ]
+        looks = (("commanded", COMMANDED), ("measured", MEASURED))
+        self._velocity = [self._arrow(name, colour) for name, colour in looks]
 
-    def draw(self, pose: Pose, whole: bool) -> None:
+    def _arrow(self, name: str, colour: tuple[int, int, int]) -> Any:
+        points, radius = np.zeros((1, 2, 3), np.float32), 0.012
+        return self._api.add_arrows(
+            f"/world/{name}",
+            points,
+            colour,
+            shaft_radius=radius,
+            head_radius=2.5 * radius,
+            head_length=5.0 * radius,
+        )
+
+    def draw(self, pose: Pose, states: Mapping[str, Array], whole: bool) -> None:
         """Put everything where it is in a tick.
 
         Args:
             pose: the tick's.
+            states: of the tick.
             whole: draw the path too.
         """
         stage = self._stage
         if stage is None:
             return
-        poses = np.hstack([pose.position, pose.quat])
-        for body in np.flatnonzero(np.abs(poses - self._poses).max(axis=1) > _STILL).tolist():
-            self._poses[body] = poses[body]
-            if body in self._bodies:
-                place = poses[body].tolist()
-                move(self._bodies[body], place[:3], place[3:])
+        self._robot.put(pose.position, pose.quat)
+        if self.ghost and self._ghost is None:
+            self._ghost = Looks(self._api, stage.shapes, "ghost")
+        if self._ghost is not None:
+            self._ghost.show(self.ghost)
+            if self.ghost:
+                self._ghost.put(*stage.ghost(states))
         x, y = pose.base[:2].tolist() if self.follow else (0.0, 0.0)
         if (x, y) != self._middle:
             self._middle = x, y
@@ -287,12 +319,52 @@ class Scene:
                 arrow.visible = shows
             if shows:
                 arrow.points = np.array([[start, end]], np.float32)
+        self._push(pose, stage.size)
         points = stage.path
         if self._lines.visible != self.path:
             self._lines.visible = self.path
         if whole and self.path and len(points) > 1 and len(points) != self._drawn:
             self._lines.points = np.stack([points[:-1], points[1:]], axis=1)
         self._drawn = len(points)
+
+    def grip(self, drag: Callable[[int, Any], None] | None) -> None:
+        """Let the viewer drag bodies, or turn the view again where it held them.
+
+        Args:
+            drag: takes the body's number in the model and viser's event; None for no drags.
+        """
+        for body in () if self._stage is None else self._stage.dragged:
+            for mesh in self._robot.meshes.get(body, ()):
+                if drag is None:
+                    mesh.remove_drag_callback()
+                    continue
+
+                async def dragged(event: Any, body: int = body) -> None:
+                    drag(body, event)
+
+                mesh.on_drag(dragged)
+
+    def placed(self, point: Sequence[float]) -> Float64:
+        """Return where a point of viser's scene is in the world, in [m], shape (3,)."""
+        return np.add(point, (*self._middle, 0.0))
+
+    def _push(self, pose: Pose, size: float) -> None:
+        """Draw the force on a body, and how large it is."""
+        force, point = pose.force
+        newton = float(np.linalg.norm(force))
+        acts = newton > 0.0
+        if acts and not self._force:
+            arrow = self._arrow("force", _FOOT)
+            self._force = [arrow, self._api.add_label("/world/newton", "")]
+        for node in self._force:
+            if node.visible != acts:
+                node.visible = acts
+        if acts:
+            arrow, label = self._force
+            end = point + 0.4 * size * force / max(newton, _WHOLE)
+            arrow.points = np.array([[point, end]], np.float32)
+            label.text = f"{newton:.0f} N"
+            move(label, end.tolist())
 
 
 def _squares() -> Float32:

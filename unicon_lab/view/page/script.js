@@ -33,7 +33,8 @@ if (!page.ready) {
       const [axis, sign] = KEYS[key];
       device[axis] = sign * (page.fast ? 1 : 0.5);
     }
-    return { hidden: document.hidden, stops: page.stops, pad: pad?.id ?? "", device };
+    const dark = matchMedia("(prefers-color-scheme: dark)").matches;
+    return { hidden: document.hidden, stops: page.stops, pad: pad?.id ?? "", device, dark };
   };
   const send = (uuid, value) => window.__viserMutable?.sendMessage?.({
     type: "GuiUpdateMessage", uuid, updates: { value },
@@ -58,19 +59,47 @@ if (!page.ready) {
     return get.call(this, key);
   };
 
+  // On a phone the sheet of widgets leaves the upper part of the page to the robot.
+  const style = document.createElement("style");
+  style.textContent = `
+    #unicon-bar { position: fixed; top: 8px; z-index: 100000; display: flex; gap: 8px;
+      transform: translateX(-50%); font: 13px/1.3 system-ui, sans-serif }
+    #unicon-estop { height: 54px; border-radius: 10px; border: 3px solid #fff; color: #fff;
+      font: bold 22px system-ui, sans-serif; box-shadow: 0 2px 8px #0008; cursor: pointer;
+      padding: 0 14px; white-space: nowrap }
+    #unicon-status { max-height: 54px; overflow: hidden; padding: 4px 10px; border-radius: 10px;
+      box-sizing: border-box; box-shadow: 0 2px 8px #0004; color: var(--mantine-color-text);
+      background: var(--mantine-color-body); white-space: pre-line; align-self: center }
+    @media (max-width: 576px) {
+      div[style*="max-height: 60%"] { width: 100% !important; max-height: 42% !important }
+      div[style*="max-height: 60%"] [style*="width: 20em"] { width: 100% !important }
+    }`;
+  document.head.append(style);
+  const bar = document.createElement("div");
+  bar.id = "unicon-bar";
   const button = document.createElement("button");
   button.id = "unicon-estop";
-  button.style.cssText = "position:fixed;top:8px;left:50%;transform:translateX(-50%);z-index:100000;"
-    + "min-width:230px;height:58px;border-radius:10px;border:3px solid #fff;color:#fff;"
-    + "font:bold 24px system-ui,sans-serif;box-shadow:0 2px 8px #0008;cursor:pointer;padding:0 18px";
+  const status = document.createElement("div");
+  status.id = "unicon-status";
+  page.brief = (text, fault) => {
+    status.textContent = text;
+    status.style.color = fault ? "#e03131" : "";
+  };
   button.onclick = () => {
     page.stops += 1; // told with the heartbeats too
     send(page.stop, true);
     page.look();
   };
-  document.body.append(button);
+  bar.append(button, status);
+  document.body.append(bar);
   page.look = () => {
-    const hears = alive();
+    const hears = alive(), views = [...document.querySelectorAll("canvas")];
+    const view = views.map((each) => each.getBoundingClientRect())
+      .reduce((one, other) => (other.width * other.height > one.width * one.height ? other : one),
+        { left: 0, width: innerWidth, height: 0 });
+    bar.style.left = `${view.left + view.width / 2}px`;
+    bar.style.maxWidth = `${view.width - 12}px`;
+    status.style.display = status.textContent && hears ? "" : "none";
     button.style.display = page.stop ? "" : "none";
     button.style.background = !hears ? "#777" : page.stops ? "#7a0b0b" : "#d40000";
     button.textContent = !hears ? "NO CONNECTION" : page.stops ? "E-STOP pressed" : "E-STOP";

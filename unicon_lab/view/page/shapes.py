@@ -1,22 +1,33 @@
-"""Shapes: what the bodies of a model look like, as triangles; bones where a body has no looks."""
+"""Shapes: what the bodies of a model look like, as triangles.
+
+A body whose model shows nothing but contact dots gets the hull of its collision geoms, else the
+ellipsoid of its inertia, and bones to its children. `Looks` puts shapes into a viewer's scene.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from viser import _messages
 
 from unicon_base.arrays import Float32, Float64
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.platforms.kit.base import rotation
 
 _SHOWN = 3  # MuJoCo's own viewers hide the groups of geoms from here on
-_BONE = (0.012, 0.045)  # thinnest and thickest, by the radius in [m]
+_DOT, _GAP = 0.02, 0.05  # of the robot's reach: radius of a contact dot, and what needs a bone
+_BONE = 0.025  # of the robot's reach: radius at most
 _BONE_COLOUR = (0.55, 0.58, 0.63, 1.0)
-_FAINT = 0.05  # a geom below this opacity is there for contacts alone
+_UNSEEN = 0.05  # a geom below this opacity is there for contacts alone
+
+
+_GHOST, _FAINT = (70, 130, 230), 0.3
+_STILL = 1e-5  # [m], and of a quaternion: what moved less stays where it is
 
 
 @dataclass(frozen=True)
@@ -40,30 +51,42 @@ def shapes_of(loaded: LoadedModel) -> list[Shape]:
     """Return the shapes of all bodies; planes are left out, since the page draws its own ground.
 
     Args:
-        loaded: a model; a body of its robot without a visible geom gets bones to its children.
+        loaded: a model.
     """
     model = loaded.model
     parts: dict[tuple[int, tuple[float, ...]], list[Any]] = {}
-    dressed = set()
+    corners: dict[int, list[Float64]] = {}  # of what is seen of a body, dots left out
+    hidden: dict[int, list[Float64]] = {}
+    root = int(model.body_rootid[model.jnt_bodyid[loaded.joints[0]]])
+    own = [body for body in range(1, model.nbody) if model.body_rootid[body] == root]
+    # Of four limbs each has a quarter of all lengths.
+    reach = max(float(np.linalg.norm(model.body_pos[own[1:]], axis=1).sum()) / 4.0, 0.05)
     for geom in range(model.ngeom):
         body, colour = int(model.geom_bodyid[geom]), _colour(model, geom)
-        if model.geom_group[geom] >= _SHOWN or colour[3] < _FAINT:
-            continue
         found = _triangles(model, geom)
         if found is None:
             continue
         matrix = np.eye(4)
         matrix[:3, :3] = rotation(model.geom_quat[geom])
         matrix[:3, 3] = model.geom_pos[geom]
-        parts.setdefault((body, colour), []).append(found.apply_transform(matrix))
-        dressed.add(body)
-    root = int(model.body_rootid[model.jnt_bodyid[loaded.joints[0]]])
-    for body in range(1, model.nbody):
-        parent = int(model.body_parentid[body])
-        if int(model.body_rootid[body]) == root and parent and parent not in dressed:
-            bone = _bone(np.array(model.body_pos[body]))
-            if bone is not None:
-                parts.setdefault((parent, _BONE_COLOUR), []).append(bone)
+        found.apply_transform(matrix)
+        seen = model.geom_group[geom] < _SHOWN and colour[3] >= _UNSEEN
+        if seen:
+            parts.setdefault((body, colour), []).append(found)
+        dot = model.geom_rbound[geom] < _DOT * reach
+        (corners if seen and not dot else hidden).setdefault(body, []).append(found.vertices)
+    children: dict[int, list[Float64]] = {body: [] for body in own}
+    for body in own[1:]:
+        children.setdefault(int(model.body_parentid[body]), []).append(model.body_pos[body])
+    for body in own:
+        made = [] if body in corners else _stand_in(model, body, hidden.get(body), reach)
+        around = np.vstack(corners.get(body) or [np.zeros((1, 3))])
+        for child in children[body]:
+            inside = np.clip(child, around.min(axis=0), around.max(axis=0))
+            if np.linalg.norm(child - inside) > (_GAP * reach if body in corners else 1e-3):
+                made.append(_bone(child, reach))
+        if made:
+            parts.setdefault((body, _BONE_COLOUR), []).extend(made)
     shapes = []
     for (body, colour), meshes in parts.items():
         mesh = trimesh.util.concatenate(meshes)
@@ -72,17 +95,34 @@ def shapes_of(loaded: LoadedModel) -> list[Shape]:
     return shapes
 
 
+def _stand_in(model: Any, body: int, hidden: list[Float64] | None, reach: float) -> list[Any]:
+    """Return the hull of a body's collision geoms and its origin, else its inertia's ellipsoid."""
+    if hidden is not None:
+        points = np.vstack([*hidden, np.zeros((1, 3))])
+        if np.ptp(points, axis=0).min() > 1e-4:
+            return [trimesh.convex.convex_hull(points)]
+    mass, inertia = float(model.body_mass[body]), np.array(model.body_inertia[body])
+    if mass < 1e-3:
+        return []
+    squares = 2.5 / mass * (inertia.sum() - 2.0 * inertia)  # of a solid ellipsoid
+    axes = np.clip(np.sqrt(np.maximum(squares, 0.0)), 0.01 * reach, 0.2 * reach)
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation(model.body_iquat[body])
+    matrix[:3, 3] = model.body_ipos[body]
+    ball = trimesh.creation.icosphere(2, 1.0).apply_scale(axes)
+    return [ball.apply_transform(matrix)]
+
+
 def _colour(model: Any, geom: int) -> tuple[float, ...]:
     material = int(model.geom_matid[geom])
     rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
     return tuple(round(float(x), 3) for x in rgba)
 
 
-def _bone(child: Float64) -> Any:
+def _bone(child: Float64, reach: float) -> Any:
+    """Return a bone from a body's origin to a child's, with a ball at its joint."""
     length = float(np.linalg.norm(child))
-    if length < 1e-3:
-        return None
-    radius = float(np.clip(0.12 * length, *_BONE))
+    radius = min(0.12 * length, _BONE * reach)
     bone = trimesh.creation.cylinder(radius, segment=[np.zeros(3), child], sections=12)
     return trimesh.util.concatenate([bone, trimesh.creation.icosphere(1, 1.3 * radius)])
 
@@ -123,3 +163,76 @@ def _field(model: Any, number: int) -> Any:
     a, c = (each[:, :-1].ravel() for each in (cells[:-1], cells[1:]))  # b = a + 1, d = c + 1
     faces = np.concatenate([np.stack([a, a + 1, c + 1], 1), np.stack([a, c + 1, c], 1)])
     return trimesh.Trimesh(np.stack([x.ravel(), y.ravel(), height], 1), faces, process=False)
+
+
+def move(node: Any, position: Sequence[float], quat: Sequence[float] | None = None) -> None:
+    """Put a node of a scene where it has moved to.
+
+    Its own properties compare with what was there, which took half of a viewer's time.
+
+    Args:
+        node: viser's handle.
+        position: in its parent in [m], three numbers.
+        quat: likewise, wxyz; None where it never turns.
+    """
+    inside = node._impl
+    queue = inside.api._queue_scene_message
+    queue(_messages.SetPositionMessage(inside.name, tuple(position)))
+    if quat is not None:
+        queue(_messages.SetOrientationMessage(inside.name, tuple(quat)))
+
+
+class Looks:
+    """The shapes of a robot in one viewer's scene.
+
+    Args:
+        api: viser's scene of this viewer.
+        shapes: of its bodies.
+        name: of the nodes; those of a `ghost` are transparent.
+
+    Attributes:
+        meshes: viser's handles, by the number of the body.
+    """
+
+    def __init__(self, api: Any, shapes: Sequence[Shape], name: str) -> None:
+        ghost = name == "ghost"
+        self._poses = np.full((1 + max((shape.body for shape in shapes), default=0), 7), np.inf)
+        self._root = api.add_frame(f"/world/{name}", show_axes=False)
+        self.meshes: dict[int, list[Any]] = {}
+        self._frames: dict[int, Any] = {}
+        for number, shape in enumerate(shapes):
+            if ghost and not shape.body:
+                continue
+            place = f"/world/{name}/{shape.body}"
+            if shape.body not in self._frames:
+                self._frames[shape.body] = api.add_frame(place, show_axes=False)
+            opacity = _FAINT if ghost else shape.rgba[3]
+            mesh = api.add_mesh_simple(
+                f"{place}/shape_{number}",
+                shape.vertices,
+                shape.faces,
+                color=_GHOST if ghost else tuple(round(255 * x) for x in shape.rgba[:3]),
+                opacity=None if opacity > 0.98 else opacity,
+                flat_shading=True,
+                side="double",
+            )
+            self.meshes.setdefault(shape.body, []).append(mesh)
+
+    def show(self, visible: bool) -> None:
+        """Show or hide all of it."""
+        if self._root.visible != visible:
+            self._root.visible = visible
+
+    def put(self, position: Float64, quat: Float64) -> None:
+        """Put the bodies that have moved where they are.
+
+        Args:
+            position: of the model's bodies in the world in [m], shape (bodies, 3).
+            quat: of the bodies, wxyz, shape (bodies, 4).
+        """
+        poses = np.hstack([position, quat])[: len(self._poses)]
+        for body in np.flatnonzero(np.abs(poses - self._poses).max(axis=1) > _STILL).tolist():
+            self._poses[body] = poses[body]
+            if body in self._frames:
+                place = poses[body].tolist()
+                move(self._frames[body], place[:3], place[3:])

@@ -49,7 +49,7 @@ class Page:
         self._shown, self._source, self._remote, self._token = shown, source, remote, token
         self._fps, self._link = float(options.get("fps", 30.0)), viewer
         self._history = History(shown.layout, shown.period)
-        self._wheel = Wheel(remote, shown.command_bounds)
+        self._wheel = Wheel(remote, shown.command_bounds, bool(shown.bodies))
         self._note = ""
         self._stage: Stage | None = None
         try:
@@ -176,10 +176,10 @@ class Page:
                     viewer.acts.discard(answered.number)
                     viewer.tell(answered.text, answered.done)
 
-    def _status(self, tick: Snapshot | None, driver: str) -> str:
-        """Return how the run is, as HTML, with who drives in words."""
+    def _status(self, tick: Snapshot | None, driver: str) -> tuple[str, str, bool]:
+        """Return how the run is, with who drives in words; see `status_html`."""
         if tick is None:
-            return table({"phase": "no tick yet"})
+            return table({"phase": "no tick yet"}), "no tick yet", False
         rate = 0.0
         if self._ticks:  # of late
             (first, one), (last, other) = self._ticks[0], self._ticks[-1]

@@ -10,11 +10,12 @@ from contextlib import suppress
 from importlib.resources import files
 from typing import Any
 
+import numpy as np
 from viser import _messages
 
 from unicon_base import AnyDict
-from unicon_lab.view.page.panel import Panel
-from unicon_lab.view.page.plots import History, graph_html
+from unicon_lab.view.page.panel import PANEL, Panel, graph_html
+from unicon_lab.view.page.plots import History
 from unicon_lab.view.page.scene import Pose, Scene, Stage
 from unicon_lab.view.shown import Shown
 from unicon_lab.view.source import Remote, Snapshot, Wheel
@@ -64,6 +65,34 @@ def close_doors(server: Any) -> None:
         server._websock_server.unregister_handler(message)
 
 
+_PHONE, _SHEET, _BAR = 576, 0.2, 0.03
+"""Width up to which viser shows panels as a sheet below [px]; by what parts of the view that sheet
+moves the middle up, and elsewhere the e-stop moves it down."""
+_FIELD, _SIDE = 0.75, np.array((0.64, -0.68, 0.35))
+"""Angle of view [rad], and direction in which the camera stands."""
+
+
+def aim(camera: Any, stage: Stage) -> None:
+    """Let the robot fill what the panel leaves of a viewer's view.
+
+    Args:
+        camera: viser's, which knows the size of the view.
+        stage: knows that of the robot.
+    """
+    width, height = int(camera.image_width), max(int(camera.image_height), 1)
+    phone = width <= _PHONE
+    aspect = max(width - (0 if phone else PANEL), 1) / height
+    slope = float(np.tan(0.5 * _FIELD))
+    distance = 0.56 * stage.size / np.sin(np.arctan(slope * min(aspect, 1.0)))
+    below = 2.0 * slope * distance * (_SHEET if phone else -_BAR)
+    camera.fov = _FIELD
+    camera.position = stage.middle + distance * _SIDE - (0.0, 0.0, below)
+    camera.look_at = stage.middle - (0.0, 0.0, below)  # behind the position, which moves it
+
+
+Status = Callable[[Snapshot | None, str], tuple[str, str, bool]]
+
+
 class PageConnection:
     """The line to one page.
 
@@ -104,6 +133,11 @@ class PageConnection:
             _messages.RunJavascriptMessage(source=f"const given = {json.dumps(uuids)};\n{script}")
         )
 
+    def brief(self, text: str, fault: bool) -> None:
+        """Show how the run is beside the e-stop, in red for a fault."""
+        source = f"uniconPage.brief({json.dumps(text)}, {json.dumps(fault)})"
+        self._connection.queue_message(_messages.RunJavascriptMessage(source=source))
+
     @property
     def pending(self) -> int:
         """Pictures that the page has not handled yet."""
@@ -130,8 +164,9 @@ def state_of(text: str) -> AnyDict | None:
     """Return what a heartbeat tells, None for garbage.
 
     Args:
-        text: a number, a blank, and a JSON object: `hidden`, `stops` (presses of the e-stop), `pad`
-            (name) and `device`, three numbers from -1 to 1 for vx, vy and wz.
+        text: a number, a blank, and a JSON object: `hidden`, `stops` (presses of the e-stop),
+            `dark` (of the system), `pad` (name) and `device`, three numbers from -1 to 1 for vx, vy
+            and wz.
     """
     if len(text) > _TEXT:
         return None
@@ -143,7 +178,7 @@ def state_of(text: str) -> AnyDict | None:
 
 
 # Between two of them, in [s]; of the charts one at a time.
-_TEXTS, _CHARTS, _PATH = 0.25, 0.1, 0.2
+_TEXTS, _CHARTS, _PATH, _BRIEF = 0.25, 0.1, 0.2, 0.5
 
 # A page that needs longer for a picture, in [s], has as long to itself before the next one: its
 # buttons and its heartbeat come first. One picture is on its way at most, so that none is late.
@@ -186,13 +221,13 @@ class Viewer:
         self.acts: set[int] = set()
         self.pictures = self._stops = 0
         self._device = [0.0, 0.0, 0.0]
-        self._said = ""
+        self._said, self._brief, self._dark, self._grips = "", "", False, False
+        self._stage, self._held = stage, list[Any]()
         self._due: dict[str, float] = {}
         self._chart = 0
-        size = 1.0 if stage is None else stage.size
         with client.atomic():
-            client.camera.position = (2.2 * size, -2.2 * size, 1.3 * size)
-            client.camera.look_at = (0.0, 0.0, 0.3 * size)
+            if stage is not None:
+                aim(client.camera, stage)
             self._scene = Scene(client.scene, stage)
             self.panel = Panel(client, shown, history, self._scene, number, self._do, span)
             self.link = PageConnection(client, self._heard, self.panel.stop)
@@ -202,7 +237,7 @@ class Viewer:
         self,
         pose: Pose | None,
         tick: Snapshot | None,
-        status: Callable[[Snapshot | None, str], str],
+        status: Status,
         new: bool,
         now: float,
     ) -> None:
@@ -211,7 +246,7 @@ class Viewer:
         Args:
             pose: of the tick; None without a model.
             tick: the newest; None before the first.
-            status: of a tick and who drives, in words, as HTML.
+            status: of a tick and who drives, in words: see `status_html`.
             new: the tick has not been shown before.
             now: time in [s].
         """
@@ -223,11 +258,13 @@ class Viewer:
             return
         with self._client.atomic():
             if picture and pose is not None:
-                self._scene.draw(pose, self._is_due("path", _PATH, now))
+                assert tick is not None
+                self._scene.draw(pose, tick.states, self._is_due("path", _PATH, now))
                 self.pictures += 1
             if self._is_due("texts", _TEXTS, now):
                 self._texts(tick, status)
-            if tick is not None and self._is_due("chart", _CHARTS, now):
+            seen = tick is not None and self.panel.plots.visible
+            if seen and self._is_due("chart", _CHARTS, now):
                 charts, self._chart = self.panel.charts, self._chart + 1  # one after the other
                 charts[self._chart % len(charts)].refresh(self.panel.window.value)
             self.link.ask()
@@ -243,10 +280,18 @@ class Viewer:
         """Note that the browser is not there any more."""
         self._wheel.lose(self.number, "was closed")
 
-    def _texts(self, tick: Snapshot | None, status: Callable[[Snapshot | None, str], str]) -> None:
+    def _texts(self, tick: Snapshot | None, status: Status) -> None:
         panel = self.panel
-        panel.tell(panel.status, status(tick, self._driver()))
+        text, brief, wrong = status(tick, self._driver())
+        panel.tell(panel.status, text)
+        if brief != self._brief and self._is_due("brief", _BRIEF, time.monotonic()):
+            self._brief = brief
+            self.link.brief(brief, wrong)
         panel.wheel(self._wheel.driver, self.number)
+        drives = self._wheel.driver == self.number
+        if drives != self._grips:  # else a drag turns the view
+            self._grips = drives
+            self._scene.grip(self._drag if drives else None)
         if tick is not None:
             panel.tell(panel.graph, graph_html(self._shown.graph, tick.counters.tolist()))
         if self._wheel.driver != self.number:
@@ -281,7 +326,12 @@ class Viewer:
         if isinstance(stops, int) and stops > self._stops:
             self._stops = stops
             self._do("estop")
-        now = time.monotonic()
+        if self._held:
+            self._pull()
+        now, dark = time.monotonic(), state.get("dark") is True
+        if dark != self._dark:
+            self._dark = dark
+            self.panel.dark(dark)
         if state.get("hidden"):
             self._wheel.lose(self.number, "was hidden")
             return
@@ -294,6 +344,26 @@ class Viewer:
                 self.panel.show_velocity(self._wheel.velocity)
             return
         self._wheel.heard(self.number, now)
+
+    def _drag(self, body: int, event: Any) -> None:
+        """Take a drag: the point of the body that was gripped is pulled to the cursor."""
+        stage, scene = self._stage, self._scene
+        if event.phase == "end" or stage is None:
+            self._held = []
+            self._wheel.pull(self.number, time.monotonic(), 0)
+        elif event.phase == "start":
+            place = stage.held(body, scene.placed(event.start_position))
+            self._held = [stage.dragged[body], place, event.end_position]
+        elif self._held:
+            self._held[2] = event.end_position
+            self._pull()
+
+    def _pull(self) -> None:
+        """Pull to where the cursor is now: the world passes below a robot that is followed."""
+        body, place, goal = self._held
+        ends = place, self._scene.placed(goal)
+        if not self._wheel.pull(self.number, time.monotonic(), body, *ends):
+            self._held = []
 
     def _do(self, what: str, *given: Any) -> None:
         now, wheel = time.monotonic(), self._wheel
