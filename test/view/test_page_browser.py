@@ -88,6 +88,7 @@ def test_a_robot_is_drawn_and_moves_and_its_plots_run(
 ) -> None:
     run = start(workflow)
     page = Page(browser, run.address, 1100)
+    page.press("Plots")
     page.until("document.body.innerText.includes('joint_pos: ')", 20.0)
     time.sleep(1.0)
     before, first = picture(page), curves(page)
@@ -234,6 +235,7 @@ def test_it_comes_back_after_a_restart_with_another_robot(
     took = page.until("document.getElementById('unicon-estop').textContent === 'E-STOP'")
     assert again.address == run.address
     assert took <= 2.0
+    page.press("Plots")
     page.until("document.body.innerText.includes('left_hip_pitch_joint')")
     assert page.says("g1_walk")
     assert not page.says("walks_on")
