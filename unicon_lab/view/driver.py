@@ -67,11 +67,10 @@ class Pull:
     def __init__(self, platform: TakesForces, states: States, told: States) -> None:
         self._largest, self._platform = SHARE * platform.weight, platform
         self._bodies = len(platform.bodies)
-        self._body, self._place, self._goal = (
-            told[f"view_pull_{word}"] for word in ("body", "place", "goal")
-        )
-        names = (EXTERNAL_FORCE, f"{EXTERNAL_FORCE}_point", f"{EXTERNAL_FORCE}_body")
+        pull = (told[name] for name in told if name.startswith("view_pull"))
+        self._body, self._place, self._goal = pull
         mine = (0, ...) if states.num_robots else ...
+        names = tuple(external_states())[:3]
         self._force, self._point, self._number = (states[name][mine] for name in names)
 
     def __call__(self, fresh: bool) -> None:
@@ -83,8 +82,7 @@ class Pull:
             return
         point = self._platform.point(body, self._place.astype(float))
         force = self._largest / REACH * (self._goal - point)
-        length = float(np.linalg.norm(force))
-        self._force[:] = force * min(1.0, self._largest / max(length, 1e-9))
+        self._force[:] = force / max(1.0, float(np.linalg.norm(force)) / self._largest)
         self._point[:] = point
 
 
@@ -225,12 +223,11 @@ class Driver:
         pushes, self._pushes = self._pushes, [0.0, 0.0] if any(self._pushes) else []
         if not pushes:
             return
-        states, platform = self._program.states, self._program.platform
-        yaw = yaw_of(states["base_quat"].reshape(-1, 4)[0])
-        heading = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-        state[...] = heading @ pushes
-        if any(pushes):
-            assert isinstance(platform, Pushable)
+        heading = np.exp(1j * yaw_of(self._program.states["base_quat"].reshape(-1, 4)[0]))
+        push = complex(*pushes) * heading
+        state[...] = push.real, push.imag
+        platform = self._program.platform
+        if push and isinstance(platform, Pushable):
             platform.push(state.astype(float))
 
     def _drive(self) -> None:

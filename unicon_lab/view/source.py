@@ -189,10 +189,8 @@ class Remote:
             place: where it is held, in its frame in [m], shape (3,).
             goal: where that point is dragged to, in the world in [m], shape (3,).
         """
-        pull = np.array(np.broadcast_arrays(place, goal, np.zeros(3))[:2], np.float32)
         with self._lock:
-            self._body = body if np.isfinite(pull).all() else 0
-            self._pull[:] = pull
+            self._body, self._pull[0], self._pull[1] = body, place, goal
             self._publish()
 
     def let_go(self) -> None:

@@ -29,6 +29,7 @@ TOUCHING = 0.005
 """A foot nearer to the floor stands on it, [m]."""
 
 _ABOVE = 0.2  # [m] from the highest joint to the arrows
+_FORCE = 2  # its row of the arrows
 _WHOLE = 30.0  # [N]: less than that is drawn as a shorter arrow
 _SURE = 0.5  # of `foot_contact`
 
@@ -42,8 +43,9 @@ class Pose:
         base: position of the base in [m], shape (3,).
         feet: foot to its place in the world, [m], shape (3,).
         touching: feet that stand.
-        arrows: from and to of the commanded and of the measured velocity, shape (2, 2, 3).
-        force: of a viewer on a body, in the world in [N], and where it acts in [m], shape (2, 3).
+        arrows: from and to of the commanded and the measured velocity, and of the force of a
+            viewer on a body, shape (3, 2, 3).
+        newton: that force in [N].
     """
 
     def __init__(self, bodies: int) -> None:
@@ -51,8 +53,7 @@ class Pose:
         self.base = np.zeros(3)
         self.feet: dict[str, Float64] = {}
         self.touching: frozenset[str] = frozenset()
-        self.arrows = np.zeros((2, 2, 3))
-        self.force = np.zeros((2, 3))
+        self.arrows, self.newton = np.zeros((3, 2, 3)), 0.0
 
 
 class Stage:
@@ -139,7 +140,9 @@ class Stage:
         pose.touching = self._contacts(states)
         self._arrows(states, pose)
         if EXTERNAL_FORCE in states:
-            pose.force[:] = states[EXTERNAL_FORCE], states[f"{EXTERNAL_FORCE}_point"]
+            force, point = states[EXTERNAL_FORCE], states[f"{EXTERNAL_FORCE}_point"]
+            pose.newton = float(np.linalg.norm(force))
+            pose.arrows[_FORCE] = point, point + 0.4 * self.size * force / max(pose.newton, _WHOLE)
         self._walk(pose.base)
         return pose
 
@@ -244,7 +247,6 @@ class Scene:
 
     def __init__(self, api: Any, stage: Stage | None) -> None:
         self._stage, self._api = stage, api
-        self._force: list[Any] = []
         self.follow = self.arrows = self.contacts = self.path = True
         self.ghost = False
         self._ghost: Looks | None = None
@@ -270,19 +272,19 @@ class Scene:
         self._lines = api.add_line_segments(
             "/world/path", np.zeros((1, 2, 3), np.float32), _PATH, line_width=3.0
         )
-        looks = (("commanded", COMMANDED), ("measured", MEASURED))
-        self._velocity = [self._arrow(name, colour) for name, colour in looks]
-
-    def _arrow(self, name: str, colour: tuple[int, int, int]) -> Any:
         points, radius = np.zeros((1, 2, 3), np.float32), 0.012
-        return self._api.add_arrows(
-            f"/world/{name}",
-            points,
-            colour,
-            shaft_radius=radius,
-            head_radius=2.5 * radius,
-            head_length=5.0 * radius,
-        )
+        self._newton = api.add_label("/world/newton", "", visible=False)
+        self._velocity = [
+            api.add_arrows(
+                f"/world/{name}",
+                points,
+                colour,
+                shaft_radius=radius,
+                head_radius=2.5 * radius,
+                head_length=5.0 * radius,
+            )
+            for name, colour in (("commanded", COMMANDED), ("measured", MEASURED), ("force", _FOOT))
+        ]
 
     def draw(self, pose: Pose, states: Mapping[str, Array], whole: bool) -> None:
         """Put everything where it is in a tick.
@@ -299,9 +301,9 @@ class Scene:
         if self.ghost and self._ghost is None:
             self._ghost = Looks(self._api, stage.shapes, "ghost")
         if self._ghost is not None:
-            self._ghost.show(self.ghost)
-            if self.ghost:
-                self._ghost.put(*stage.ghost(states))
+            self._ghost.root.visible = self.ghost
+        if self._ghost is not None and self.ghost:
+            self._ghost.put(*stage.ghost(states))
         x, y = pose.base[:2].tolist() if self.follow else (0.0, 0.0)
         if (x, y) != self._middle:
             self._middle = x, y
@@ -311,18 +313,18 @@ class Scene:
             stands = self.contacts and foot in pose.touching
             if stands:
                 move(ball, pose.feet[foot].tolist())
-            if ball.visible != stands:
-                ball.visible = stands
-        for arrow, (start, end) in zip(self._velocity, pose.arrows):
-            shows = self.arrows and float(np.linalg.norm(end - start)) > 0.03
-            if arrow.visible != shows:
-                arrow.visible = shows
+            ball.visible = stands
+        for row, (arrow, (start, end)) in enumerate(zip(self._velocity, pose.arrows)):
+            long = float(np.linalg.norm(end - start)) > 0.03
+            arrow.visible = shows = long and (self.arrows or row == _FORCE)
             if shows:
                 arrow.points = np.array([[start, end]], np.float32)
-        self._push(pose, stage.size)
+        self._newton.visible = pose.newton > 0.0
+        if pose.newton:
+            self._newton.text = f"{pose.newton:.0f} N"
+            move(self._newton, pose.arrows[_FORCE, 1].tolist())
         points = stage.path
-        if self._lines.visible != self.path:
-            self._lines.visible = self.path
+        self._lines.visible = self.path
         if whole and self.path and len(points) > 1 and len(points) != self._drawn:
             self._lines.points = np.stack([points[:-1], points[1:]], axis=1)
         self._drawn = len(points)
@@ -347,24 +349,6 @@ class Scene:
     def placed(self, point: Sequence[float]) -> Float64:
         """Return where a point of viser's scene is in the world, in [m], shape (3,)."""
         return np.add(point, (*self._middle, 0.0))
-
-    def _push(self, pose: Pose, size: float) -> None:
-        """Draw the force on a body, and how large it is."""
-        force, point = pose.force
-        newton = float(np.linalg.norm(force))
-        acts = newton > 0.0
-        if acts and not self._force:
-            arrow = self._arrow("force", _FOOT)
-            self._force = [arrow, self._api.add_label("/world/newton", "")]
-        for node in self._force:
-            if node.visible != acts:
-                node.visible = acts
-        if acts:
-            arrow, label = self._force
-            end = point + 0.4 * size * force / max(newton, _WHOLE)
-            arrow.points = np.array([[point, end]], np.float32)
-            label.text = f"{newton:.0f} N"
-            move(label, end.tolist())
 
 
 def _squares() -> Float32:

@@ -20,8 +20,7 @@ from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.platforms.kit.base import rotation
 
 _SHOWN = 3  # MuJoCo's own viewers hide the groups of geoms from here on
-_DOT, _GAP = 0.02, 0.05  # of the robot's reach: radius of a contact dot, and what needs a bone
-_BONE = 0.025  # of the robot's reach: radius at most
+_DOT, _BONE = 0.02, 0.025  # of the robot's reach: radius of a contact dot, of a bone at most
 _BONE_COLOUR = (0.55, 0.58, 0.63, 1.0)
 _UNSEEN = 0.05  # a geom below this opacity is there for contacts alone
 
@@ -55,8 +54,7 @@ def shapes_of(loaded: LoadedModel) -> list[Shape]:
     """
     model = loaded.model
     parts: dict[tuple[int, tuple[float, ...]], list[Any]] = {}
-    corners: dict[int, list[Float64]] = {}  # of what is seen of a body, dots left out
-    hidden: dict[int, list[Float64]] = {}
+    dressed, hidden = set[int](), dict[int, list[Float64]]()
     root = int(model.body_rootid[model.jnt_bodyid[loaded.joints[0]]])
     own = [body for body in range(1, model.nbody) if model.body_rootid[body] == root]
     # Of four limbs each has a quarter of all lengths.
@@ -66,25 +64,19 @@ def shapes_of(loaded: LoadedModel) -> list[Shape]:
         found = _triangles(model, geom)
         if found is None:
             continue
-        matrix = np.eye(4)
-        matrix[:3, :3] = rotation(model.geom_quat[geom])
-        matrix[:3, 3] = model.geom_pos[geom]
-        found.apply_transform(matrix)
+        found.apply_transform(_matrix(model.geom_pos[geom], model.geom_quat[geom]))
         seen = model.geom_group[geom] < _SHOWN and colour[3] >= _UNSEEN
         if seen:
             parts.setdefault((body, colour), []).append(found)
-        dot = model.geom_rbound[geom] < _DOT * reach
-        (corners if seen and not dot else hidden).setdefault(body, []).append(found.vertices)
-    children: dict[int, list[Float64]] = {body: [] for body in own}
-    for body in own[1:]:
-        children.setdefault(int(model.body_parentid[body]), []).append(model.body_pos[body])
+        if seen and model.geom_rbound[geom] >= _DOT * reach:
+            dressed.add(body)
+        hidden.setdefault(body, [np.zeros((1, 3))]).append(found.vertices)
     for body in own:
-        made = [] if body in corners else _stand_in(model, body, hidden.get(body), reach)
-        around = np.vstack(corners.get(body) or [np.zeros((1, 3))])
-        for child in children[body]:
-            inside = np.clip(child, around.min(axis=0), around.max(axis=0))
-            if np.linalg.norm(child - inside) > (_GAP * reach if body in corners else 1e-3):
-                made.append(_bone(child, reach))
+        if body in dressed:
+            continue
+        made = _stand_in(model, body, hidden.get(body), reach)
+        children = model.body_pos[1:][model.body_parentid[1:] == body]
+        made += [_bone(each, reach) for each in children if np.linalg.norm(each) > 1e-3]
         if made:
             parts.setdefault((body, _BONE_COLOUR), []).extend(made)
     shapes = []
@@ -97,20 +89,22 @@ def shapes_of(loaded: LoadedModel) -> list[Shape]:
 
 def _stand_in(model: Any, body: int, hidden: list[Float64] | None, reach: float) -> list[Any]:
     """Return the hull of a body's collision geoms and its origin, else its inertia's ellipsoid."""
-    if hidden is not None:
-        points = np.vstack([*hidden, np.zeros((1, 3))])
-        if np.ptp(points, axis=0).min() > 1e-4:
-            return [trimesh.convex.convex_hull(points)]
+    points = np.vstack(hidden or [np.zeros((1, 3))])
+    if np.ptp(points, axis=0).min() > 1e-4:
+        return [trimesh.convex.convex_hull(points)]
     mass, inertia = float(model.body_mass[body]), np.array(model.body_inertia[body])
     if mass < 1e-3:
         return []
     squares = 2.5 / mass * (inertia.sum() - 2.0 * inertia)  # of a solid ellipsoid
     axes = np.clip(np.sqrt(np.maximum(squares, 0.0)), 0.01 * reach, 0.2 * reach)
-    matrix = np.eye(4)
-    matrix[:3, :3] = rotation(model.body_iquat[body])
-    matrix[:3, 3] = model.body_ipos[body]
     ball = trimesh.creation.icosphere(2, 1.0).apply_scale(axes)
-    return [ball.apply_transform(matrix)]
+    return [ball.apply_transform(_matrix(model.body_ipos[body], model.body_iquat[body]))]
+
+
+def _matrix(position: Float64, quat: Float64) -> Float64:
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation(quat), position
+    return matrix
 
 
 def _colour(model: Any, geom: int) -> tuple[float, ...]:
@@ -191,13 +185,14 @@ class Looks:
         name: of the nodes; those of a `ghost` are transparent.
 
     Attributes:
-        meshes: viser's handles, by the number of the body.
+        root: viser's handle of all.
+        meshes: its handles, by the number of the body.
     """
 
     def __init__(self, api: Any, shapes: Sequence[Shape], name: str) -> None:
         ghost = name == "ghost"
         self._poses = np.full((1 + max((shape.body for shape in shapes), default=0), 7), np.inf)
-        self._root = api.add_frame(f"/world/{name}", show_axes=False)
+        self.root = api.add_frame(f"/world/{name}", show_axes=False)
         self.meshes: dict[int, list[Any]] = {}
         self._frames: dict[int, Any] = {}
         for number, shape in enumerate(shapes):
@@ -217,11 +212,6 @@ class Looks:
                 side="double",
             )
             self.meshes.setdefault(shape.body, []).append(mesh)
-
-    def show(self, visible: bool) -> None:
-        """Show or hide all of it."""
-        if self._root.visible != visible:
-            self._root.visible = visible
 
     def put(self, position: Float64, quat: Float64) -> None:
         """Put the bodies that have moved where they are.
