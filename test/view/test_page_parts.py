@@ -339,7 +339,7 @@ def test_the_state_beside_the_estop_is_short_and_says_what_is_wrong(layout: Layo
 
     assert brief() == ("run\n2.0 s · 50 Hz", False)
     assert brief(paused=True, stale=9.0) == ("run, paused\n2.0 s · 50 Hz", False)
-    assert brief(stale=3.0) == ("run: no tick for 3 s", True)
+    assert brief(stale=3.0) == ("run: no tick for 3 s\n2.0 s · 50 Hz", True)
     assert brief(waits_for="the go") == ("run\n2.0 s\nwaits for the go · 50 Hz", False)
     assert brief(faults=["tilted <45°"]) == ("tilted <45°", True)
 

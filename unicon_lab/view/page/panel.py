@@ -221,8 +221,7 @@ class Panel:
     def _live(self, gui: Any, number: int) -> None:
         self.stop = self._button(gui, "E-STOP", "estop", "red", visible=False)
         shown = self._shown
-        drag = " Who drives drags bodies, by a spring; else a drag turns the view."
-        drag = drag if shown.bodies else ""
+        drag = " Who drives drags bodies." if shown.bodies else ""
         if shown.drives or shown.pushes or shown.bodies:
             with gui.add_folder("Drive"):
                 self._wheel = self._button(gui, "Take the wheel", "wheel", "blue")

@@ -351,8 +351,7 @@ def status_html(
         silence = f"no tick for {stale:.0f} s"
         found["phase"] += f" {_red(silence)}"
         brief += f": {silence}"
-    else:
-        brief += f"\n{tick.tick * shown.period:.1f} s"
+    brief += f"\n{tick.tick * shown.period:.1f} s"
     if texts.get("waits_for"):
         brief += f"\nwaits for {texts['waits_for']}"
         found["waits for"] = f'<b style="color:#e8590c">{escape(texts["waits_for"])}</b>'
@@ -362,7 +361,7 @@ def status_html(
         found["skill"] = f"<b>{escape(name)}</b>"
     found["tick"] = f"{tick.tick} · {tick.tick * shown.period:.1f} s"
     if texts.get("timed", True):
-        brief += f" · {rate:.0f} Hz" if not silent else ""
+        brief += f" · {rate:.0f} Hz"
         found["rate"] = f"{rate:.1f} Hz, wanted {1.0 / shown.period:.1f} Hz"
         if len(rows):
             deadline = shown.period * 1e3

@@ -68,11 +68,10 @@ if (!page.ready) {
       font: bold 22px system-ui, sans-serif; box-shadow: 0 2px 8px #0008; cursor: pointer;
       padding: 0 14px; white-space: nowrap }
     #unicon-status { max-height: 54px; overflow: hidden; padding: 4px 10px; border-radius: 10px;
-      box-sizing: border-box; box-shadow: 0 2px 8px #0004; color: var(--mantine-color-text);
       background: var(--mantine-color-body); white-space: pre-line; align-self: center }
     @media (max-width: 576px) {
-      div[style*="max-height: 60%"] { width: 100% !important; max-height: 42% !important }
-      div[style*="max-height: 60%"] [style*="width: 20em"] { width: 100% !important }
+      [style*="width: 20em"] { width: 100% !important }
+      [style*="max-height: 60%"] { max-height: 42% !important }
     }`;
   document.head.append(style);
   const bar = document.createElement("div");

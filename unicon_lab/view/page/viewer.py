@@ -133,9 +133,9 @@ class PageConnection:
             _messages.RunJavascriptMessage(source=f"const given = {json.dumps(uuids)};\n{script}")
         )
 
-    def brief(self, text: str, fault: bool) -> None:
+    def brief(self, text_and_fault: list[Any]) -> None:
         """Show how the run is beside the e-stop, in red for a fault."""
-        source = f"uniconPage.brief({json.dumps(text)}, {json.dumps(fault)})"
+        source = f"uniconPage.brief(...{json.dumps(text_and_fault)})"
         self._connection.queue_message(_messages.RunJavascriptMessage(source=source))
 
     @property
@@ -221,8 +221,8 @@ class Viewer:
         self.acts: set[int] = set()
         self.pictures = self._stops = 0
         self._device = [0.0, 0.0, 0.0]
-        self._said, self._brief, self._dark, self._grips = "", "", False, False
-        self._stage, self._held = stage, list[Any]()
+        self._said, self._dark, self._grips, self._stage = "", False, False, stage
+        self._held, self._brief = list[Any](), list[Any]()
         self._due: dict[str, float] = {}
         self._chart = 0
         with client.atomic():
@@ -282,11 +282,11 @@ class Viewer:
 
     def _texts(self, tick: Snapshot | None, status: Status) -> None:
         panel = self.panel
-        text, brief, wrong = status(tick, self._driver())
+        text, *brief = status(tick, self._driver())
         panel.tell(panel.status, text)
         if brief != self._brief and self._is_due("brief", _BRIEF, time.monotonic()):
             self._brief = brief
-            self.link.brief(brief, wrong)
+            self.link.brief(brief)
         panel.wheel(self._wheel.driver, self.number)
         drives = self._wheel.driver == self.number
         if drives != self._grips:  # else a drag turns the view
