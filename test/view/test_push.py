@@ -254,8 +254,9 @@ def test_what_is_no_simulator_is_not_pushed(tmp_path: Path) -> None:
     assert run.report.faults == ["tripped by the test"]
 
 
-def test_a_robot_has_no_states_of_pushes() -> None:
-    document: Any = SimpleNamespace(values={"platform": "unitree_sdk2"})
+@pytest.mark.parametrize("platform", ["unitree_sdk2", {"child": "mujoco"}, None, "mujocco"])
+def test_what_is_no_simulator_of_ours_has_no_states_of_pushes(platform: Any) -> None:
+    document: Any = SimpleNamespace(values={"platform": platform})
     document.get = document.values.get
     View({"sink": "page"}).declare(document)
     assert set(document.values["states"]) == {"gain_scale"}

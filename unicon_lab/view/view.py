@@ -263,7 +263,7 @@ class View(Fed):
     def declare(self, document: WorkflowDocument) -> None:
         """Let the workflow have the states that a viewer's parameters and pushes change."""
         self._tuning.declare(document)
-        name = document.get("platform")
+        name = str(document.get("platform"))  # one of several platforms is not pushed
         with suppress(UniconError):  # the program will say so
             if declared_facts(find_factory("platforms", name, PlatformError), name).simulated:
                 known = {n: spec.to_dict() for n, spec in external_states().items()}
