@@ -82,14 +82,14 @@ def stage() -> Any:
     return Stage(SimpleNamespace(robot=robot, model=found, terrain=None, bodies=named))  # type: ignore[arg-type]
 
 
-def standing(stage: Any, **values: Any) -> States:
+def standing(stage: Any, **values: Any) -> dict[str, Any]:
     robot = stage._robot
     states = States(Layout(standard_states(robot.joint_names)))
     states["joint_pos"][:] = states["joint_pos_target"][:] = robot.default_joint_pos
     states["base_pos_w"][:] = 0.0, 0.0, 0.4
     for name, value in values.items():
         states[name][...] = value
-    return states
+    return {name: states[name] for name in states}
 
 
 def test_a_view_is_as_large_as_the_robot(stage: Any) -> None:
@@ -99,10 +99,13 @@ def test_a_view_is_as_large_as_the_robot(stage: Any) -> None:
 
 def test_a_reset_clears_the_path(stage: Any) -> None:
     for number, x in enumerate((0.0, 0.5, 1.0)):
-        where = {"base_pos_w": (x, 0.0, 0.4), "stamp_ns": 1000 * number}
+        where = {"base_pos_w": (x, 0.0, 0.4), "stamp_ns": 10**9 * number}
         stage.put(number, standing(stage, **where))
     assert len(stage.path) == 3
-    stage.put(3, standing(stage, stamp_ns=0))
+    jitters = standing(stage, base_pos_w=(1.5, 0.0, 0.4), stamp_ns=2 * 10**9 - 1000)
+    stage.put(3, jitters)
+    assert len(stage.path) == 4
+    stage.put(4, standing(stage, stamp_ns=0))
     assert stage.path[:, 0].tolist() == [0.0]
 
 
@@ -112,6 +115,8 @@ def test_a_ghost_stands_at_the_targets_of_joints_that_are_held(stage: Any) -> No
     states["joint_pos_target"][:] += 0.3
     pose = stage.put(1, states)
     position, _ = stage.ghost(states)
+    assert np.allclose(position, pose.position)
+    position, _ = stage.ghost({"joint_pos": states["joint_pos"]})  # of a bag that has no more
     assert np.allclose(position, pose.position)
     states["joint_stiffness"][1:3] = 20.0
     states["joint_pos_target"][2] = np.nan

@@ -29,6 +29,7 @@ TOUCHING = 0.005
 """A foot nearer to the floor stands on it, [m]."""
 
 _ABOVE = 0.2  # [m] from the highest joint to the arrows
+_BACK = 500_000_000  # [ns] by which time goes back at a reset; clocks of robots may jitter
 _FORCE = 2  # its row of the arrows
 _WHOLE = 30.0  # [N]: less than that is drawn as a shorter arrow
 _SURE = 0.5  # of `foot_contact`
@@ -125,7 +126,7 @@ class Stage:
         if tick == self._tick:
             return pose
         stamp = int(states["stamp_ns"].item()) if "stamp_ns" in states else 0
-        if tick < self._tick or stamp < self._stamp:  # a reset
+        if tick < self._tick or stamp < self._stamp - _BACK:  # a reset
             self._points = 0
         self._tick, self._stamp = tick, stamp
         joints = np.nan_to_num(np.asarray(states["joint_pos"], float))
@@ -154,13 +155,15 @@ class Stage:
     def ghost(self, states: Mapping[str, Array]) -> tuple[Float64, Float64]:
         """Return positions and quaternions of bodies at `joint_pos_target`, on the base of `pose`.
 
-        Joints without stiffness are where they are measured: their targets mean nothing.
+        Joints without stiffness, or without targets in a recording of others, are where they are
+        measured.
         """
         if self._target is None:
             self._target = PosedModel(self._posed.loaded)
-        target = np.asarray(states["joint_pos_target"], float)
-        held = np.isfinite(target) & (np.asarray(states["joint_stiffness"], float) > 0.0)
-        joints = np.where(held, target, np.nan_to_num(np.asarray(states["joint_pos"], float)))
+        measured = states["joint_pos"]
+        target = np.asarray(states.get("joint_pos_target", measured), float)
+        held = np.isfinite(target) & (states.get("joint_stiffness", 1.0) > 0.0)
+        joints = np.where(held, target, np.nan_to_num(measured))
         base = self._body
         place = np.concatenate([self.pose.position[base], self.pose.quat[base]])
         data = self._target.put(joints, place)
