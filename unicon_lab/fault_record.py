@@ -28,7 +28,7 @@ from unicon_lab.recording import McapFile, recover
 from unicon_lab.recording.facts import content_of, facts_of
 from unicon_lab.recording.mcap_file import FileInUse
 from unicon_lab.recording.records import attachment, metadata
-from unicon_lab.recording.ticks import add_ticks, tick_channel, to_json
+from unicon_lab.recording.ticks import add_ticks, term_names, tick_channel, to_json
 from unicon_ros.attachments import Attachment
 
 if TYPE_CHECKING:
@@ -180,7 +180,8 @@ def _fill(
     built = None if ring.built is None else to_json(ring.built)
     add("memory.json", json.dumps({"trouble": ring.trouble, "built": built, "memories": content}))
     add("report.json", json.dumps(report.to_dict(), default=str))
-    file.add(tick_channel(1, runner.program.states.layout, dict.fromkeys(ring.moments)))
+    program, moments = runner.program, dict.fromkeys(ring.moments)
+    file.add(tick_channel(1, program.states.layout, moments, term_names(program)))
     add_ticks(file, ring.kept())
     add("trace.json", runner.statistics.trace(f"unicon {report.workflow}", max(ring.capacity, 1)))
 

@@ -26,6 +26,7 @@ VIEW_OPTIONS = (
         default=PORT,
     ),
     argument("--view-token", "TOKEN", "what others have to know, for --view-host", default=""),
+    argument("--view-layout", "FILE.json", "write a layout for Foxglove's import", default=""),
     argument("--view-fps", "N", "pictures per second at most", type=positive, default=30.0),
 )
 """Where and how a viewer is served."""
@@ -83,8 +84,11 @@ OPTIONS = (
 
 def view_options(options: AnyMapping, sink: str = "") -> AnyDict:
     """Return the options of a viewer, for `View`."""
-    names = ("host", "port", "token", "fps")
-    return {"sink": sink or options["view"]} | {n: options[f"view_{n}"] for n in names}
+    chosen = {"sink": sink or options["view"]}
+    if options["view_layout"] and chosen["sink"] != "foxglove":
+        raise UniconError("--view-layout is a file for Foxglove; show it there, or leave it out")
+    names = ("host", "port", "token", "fps", "layout")
+    return chosen | {n: options[f"view_{n}"] for n in names}
 
 
 def _split(text: str) -> object:
@@ -113,6 +117,7 @@ def refuse(options: argparse.Namespace) -> None:
         ("--record-frames", options.record_frames, "--record FILE.mcap", options.record),
         ("--record-jpeg", options.record_jpeg, "--record-frames all", options.record_frames),
         ("--view-host and --view-token", alone, "--view", options.view),
+        ("--view-layout", options.view_layout, "--view=foxglove", options.view),
     ):
         if given and not needed:
             verb = "go" if " " in word else "goes"

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from rosbags.highlevel import AnyReader
 
 from unicon_lab.recording.recorder import Recorder
 
-__all__ = ["message", "read_by_both", "small"]
+__all__ = ["flat", "message", "read_by_both", "small"]
 
 KIND = "std_msgs/msg/String"
 TOPICS = ("/even", "/odd")
@@ -52,3 +54,12 @@ def small(recorder: Recorder, count: int) -> None:
     for number in range(count):
         write[number % 2](number + 1, message(number))
     recorder.close()
+
+
+def flat(value: Any, dtype: Any) -> Any:
+    """Return the numbers of a field in their order, shape (n,); those of named ones as well."""
+    if isinstance(value, (list, tuple)) and value and not isinstance(value[0], (int, float, bool)):
+        return np.concatenate([flat(each, dtype) for each in value])
+    names = getattr(value, "__slots__", None) or getattr(value, "__dataclass_fields__", ())
+    named = [getattr(value, name) for name in names if not name.startswith("_")]
+    return np.asarray(named or value, dtype).reshape(-1)

@@ -18,6 +18,7 @@ import pytest
 
 pytest.importorskip("rosbags")
 
+from recordings import flat
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
@@ -676,5 +677,5 @@ def test_other_readers_find_the_same_values(bag: Path) -> None:
             values = record.states(name, moment)
             for row in (0, 41, 99):
                 for message in same:
-                    there = np.asarray(getattr(getattr(message(row), moment), name), values.dtype)
+                    there = flat(getattr(getattr(message(row), moment), name), values.dtype)
                     assert there.tobytes() == values[row].tobytes()

@@ -202,7 +202,9 @@ def test_rerun_reads_every_state_of_every_tick(
                 for state in record.layout.slots:
                     if moment == "sent" or state in record.kept[moment]:
                         value = record.states(state, moment)[row]
-                        there = np.array(tick[moment][state]).astype(value.dtype)
+                        found = tick[moment][state]
+                        named = [*found.values()] if isinstance(found, Mapping) else found
+                        there = np.array(named).astype(value.dtype)
                         np.testing.assert_array_equal(there.reshape(value.shape), value, state)
             row += 1
     assert row == len(record.ticks) == 100

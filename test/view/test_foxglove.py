@@ -26,6 +26,7 @@ pytest.importorskip("mujoco")
 pytest.importorskip("onnxruntime")
 
 from foxglove_client import Client
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from velocity_sent import VelocitySent
 from websockets.exceptions import InvalidStatus
 from worn_meshes import go2_with_meshes, write_stl
@@ -33,11 +34,14 @@ from worn_meshes import go2_with_meshes, write_stl
 from unicon_base.errors import UniconError
 from unicon_base.resources import find_config, same_modules
 from unicon_core.runtime import Report, Runner, RunOptions
+from unicon_core.runtime.phases import Phase
 from unicon_core.workflow import Program, load_document
+from unicon_lab.recording.ticks import term_names, tick_channel
 from unicon_lab.view.driver import FAULT
 from unicon_lab.view.view import View
 from unicon_msgs_map import Encoder, load_map
 from unicon_ros.bridge.bindings import arrays_of, names_of, robot_variables
+from unicon_ros.cli.main import main
 
 OPTIONS = {"sink": "foxglove", "host": "127.0.0.1", "port": 8760, "token": "", "fps": 30.0}
 TOPICS = ("/joint_states", "/tf", "/odom")
@@ -257,6 +261,124 @@ def test_the_meshes_that_the_description_names_are_given_and_no_other_files(
     finally:
         client.close()
         rig.end()
+
+
+# -- ticks, state, layout --------------------------------------------------------------------------
+
+
+def decoded(client: Client, topic: str) -> list[Any]:
+    """Return the messages of a topic, as rosbags reads them by the schema that was advertised."""
+    channel, store = client.channels[topic], get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(channel["schema"], channel["schemaName"]))
+    found = [raw for name, _, raw in client.messages if name == topic]
+    return [store.deserialize_cdr(raw, channel["schemaName"]) for raw in found]
+
+
+def test_targets_commands_and_observations_come_by_name_bit_by_bit(
+    rig: Rig, client: Client
+) -> None:
+    client.subscribe("/unicon/ticks")
+    client.until(lambda: len(client.messages) > 20)
+    rig.view.controls.pause()
+    client.until(lambda: rig.view.controls.paused)
+    time.sleep(0.2)  # the tick that was running has ended
+    client.until(lambda: client.messages[-1][1] == int(rig.program.states["stamp_ns"]))
+    states, last = rig.program.states, decoded(client, "/unicon/ticks")[-1]
+    for state in ("joint_pos_target", "joint_pos", "action"):
+        values, names = states[state], states.spec(state).names
+        for name, value in zip(names, values, strict=True):
+            assert getattr(getattr(last.sent, state), name.lower()) == value, (state, name)
+    assert last.sent.velocity_command.wz == states["velocity_command"][2]
+    seen = [*vars(last.sent.observation).items()]
+    names = [name for name, value in seen if not name.startswith("__")]
+    assert len(names) == states["observation"].size
+    assert names[-1] == f"last_action_{states.spec('action').names[-1].lower()}"
+    assert [value for name, value in seen if name in names] == states["observation"].tolist()
+    ticks = [message.tick for message in decoded(client, "/unicon/ticks")]
+    assert set(np.diff(ticks)) == {1}
+    assert last.phase == getattr(last, [phase.value for phase in Phase][last.phase].upper())
+    rig.view.controls.start()
+
+
+def test_the_live_topic_has_the_type_that_a_recording_has(rig: Rig, client: Client) -> None:
+    client.until(lambda: "/unicon/ticks" in client.channels)
+    live, layout = client.channels["/unicon/ticks"], rig.program.states.layout
+    kept = tick_channel(1, layout, {"sent": None}, term_names(rig.program))
+    assert (live["schemaName"], live["schema"]) == (kept.type, kept.definition)
+
+
+def test_the_state_tells_phase_times_contacts_and_waits(rig: Rig, client: Client) -> None:
+    client.subscribe("/unicon/state")
+    client.until(lambda: len(client.messages) > 20)
+    found = decoded(client, "/unicon/state")
+    last = found[-1]
+    assert (last.phase, last.paused, last.driven) == (last.RUN, False, False)
+    assert 0.0 < last.took_us < 1e6
+    assert max(message.late_us for message in found) >= 0.0
+    assert (last.waits_for, last.fault) == ("", "")
+    feet = {field.lower() for field in rig.program.robot.feet}
+    stands = {name: getattr(last.contacts, name) for name in feet}
+    assert len(stands) == 4
+    assert all(stands.values())  # it stands still by itself
+    assert last.overruns >= 0
+
+
+def resolved(message: Any, path: str) -> Any:
+    """Return what a path of a layout means in a message."""
+    for field in path.split(".")[1:]:
+        message = getattr(message, field)
+    return message
+
+
+def test_a_layout_plots_what_is_there(tmp_path: Path) -> None:
+    file = tmp_path / "layout.json"
+    rig = Rig(port=8775, layout=str(file))
+    client = Client(rig.view.address)
+    try:
+        layout = json.loads(file.read_text("utf-8"))
+        topics = ("/unicon/ticks", "/unicon/state", "/robot_description", "/tf", "/odom")
+        client.subscribe(*topics)
+        client.until(lambda: {topic for topic, *_ in client.messages} >= {*topics})
+        panels = layout["configById"]
+        kinds = {name.partition("!")[0] for name in panels}
+        assert {"3D", "Plot", "StateTransitions", "RawMessages", "Teleop"} <= kinds
+        assert {*re.findall(r"\w+!\w+", json.dumps(layout["layout"]))} == {*panels}
+        newest = {topic: decoded(client, topic)[-1] for topic in topics[:2]}
+        paths = [path for panel in panels.values() for path in panel.get("paths", ())]
+        for path in paths:
+            value = resolved(newest[path["value"].partition(".")[0]], path["value"])
+            assert isinstance(value, int | float | np.number), path
+        shown = [path["value"] for path in panels["Plot!joint"]["paths"] if path["enabled"]]
+        joint = rig.program.robot.joint_names[0].lower()
+        assert shown == [
+            f"/unicon/ticks.sent.joint_pos_target.{joint}",
+            f"/unicon/ticks.sent.joint_pos.{joint}",
+        ]
+        assert {panels["3D!robot"]["followTf"]} <= {"base_link", "base"}
+        assert {*panels["3D!robot"]["topics"]} <= {*client.channels}
+        # A process that is started again leaves a layout that was changed meanwhile.
+        file.write_text("{}")
+        assert rig.view._peripheral is not None
+        os.kill(rig.view._peripheral.process.pid, signal.SIGKILL)
+        rig.until(lambda: any("runs again" in line for line in rig.lines), 20.0)
+        assert file.read_text() == "{}"
+    finally:
+        client.close()
+        rig.end()
+
+
+def test_a_layout_that_cannot_be_written_or_used_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(UniconError, match=r"cannot write .*: .*; give a path in a writable folder"):
+        Rig(port=8776, layout=str(tmp_path / "none" / "layout.json"))
+    for given, said in (
+        (["--view"], "--view-layout is a file for Foxglove; show it there, or leave it out"),
+        ([], "--view-layout goes with --view=foxglove; add it"),
+    ):
+        assert main(["run", "go2_stand", *given, "--view-layout", f"{tmp_path}/x.json"]) == 1
+        assert said in capsys.readouterr().err
+    assert not [*tmp_path.iterdir()]
 
 
 @pytest.mark.slow

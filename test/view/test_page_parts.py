@@ -393,7 +393,7 @@ def test_the_document_has_the_figures_and_the_keys_of_the_code() -> None:
     assert [key for key, *_ in keys] == ["i", "k", "u", "o", "j", "l"]
     assert f"After {DEAD_MAN} s of silence" in DOCUMENT
     pytest.importorskip("viser", reason="no live page: pip install 'unicon_ros[view]'")
-    from unicon_lab.view.page.scene import TOUCHING
+    from unicon_core.models.posed import TOUCHING
 
     assert f"within {1e3 * TOUCHING:.0f} mm of the floor" in DOCUMENT
     assert f"up to {MOST}" in DOCUMENT

@@ -6,6 +6,7 @@ For checks, odometry and the block `gravity`; there is no physics.
 from __future__ import annotations
 
 import math
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -87,6 +88,51 @@ class PosedModel:
                     height = float(mujoco.mj_geomDistance(model, data, floor, geom, _FAR, None))
                     found[geom] = min(height, found.get(geom, _FAR))
         return found
+
+
+TOUCHING = 0.005
+"""A foot nearer to the floor stands on it, [m]."""
+
+
+class FootContacts:
+    """Which feet stand on the floor or on other ground, by their distance.
+
+    Args:
+        posed: where the robot is.
+        feet: names; those without geoms never stand.
+        uneven: the ground is a field of heights, to which there are no distances: MuJoCo's own
+            contacts count, and margins of the model's feet are set for them.
+
+    Attributes:
+        posed: the same.
+        soles: geoms of each foot.
+    """
+
+    def __init__(self, posed: PosedModel, feet: tuple[str, ...], uneven: bool) -> None:
+        self.posed, self._uneven = posed, uneven
+        self._mujoco, model = import_mujoco(), posed.loaded.model
+        self.soles = foot_geoms(model, feet)
+        self._floors = floors(model)
+        for geoms in self.soles.values() if uneven else ():
+            model.geom_margin[geoms] = TOUCHING
+
+    def __call__(self) -> frozenset[str]:
+        """Return the feet that stand, after `PosedModel.put`."""
+        model, data = self.posed.loaded.model, self.posed.data
+        if self._uneven:
+            self._mujoco.mj_collision(model, data)
+            pairs = np.array(data.contact.geom).reshape(-1, 2)
+            met = pairs[(model.body_weldid[model.geom_bodyid[pairs]] == 0).any(axis=1)]
+            return frozenset(foot for foot, own in self.soles.items() if np.isin(met, own).any())
+        distance = self._mujoco.mj_geomDistance
+        return frozenset(
+            foot
+            for foot, geoms in self.soles.items()
+            if any(
+                distance(model, data, floor, geom, 1.0, None) < TOUCHING
+                for floor, geom in product(self._floors, geoms)
+            )
+        )
 
 
 def followers(loaded: LoadedModel) -> list[tuple[int, int, float, float, list[float]]]:

@@ -94,7 +94,7 @@ def write_imported(
         try:
             file.begin()
             file.add_record(metadata("unicon", facts | layout_facts(layout, kept)))
-            file.add(tick_channel(1, layout, kept))
+            file.add(tick_channel(1, layout, kept, {}))
             add_ticks(file, _ticks(layout, kept, stamps, states))
             if file.finish():
                 path.unlink()

@@ -21,7 +21,7 @@ from unicon_lab.recording.background import Background, Write
 from unicon_lab.recording.bag_folder import BagFolder, Split
 from unicon_lab.recording.records import Channel, Large
 from unicon_lab.recording.recover import recover_aside
-from unicon_lab.recording.ticks import RecordedSubset, tick_channel
+from unicon_lab.recording.ticks import Names, RecordedSubset, tick_channel
 from unicon_msgs_map import Qos
 from unicon_msgs_map.layout.messages import Messages, shared_messages
 
@@ -128,10 +128,10 @@ class Recorder(Background):
         with self._writing():
             return self.add_large(self._described(topic, kind), nbytes)
 
-    def tick_channel(self, layout: Layout, kept: RecordedSubset) -> Write:
+    def tick_channel(self, layout: Layout, kept: RecordedSubset, names: Names) -> Write:
         """Add the channel of ticks, before `start`, and return what takes them."""
         with self._writing():
-            return self.add(tick_channel(len(self._file.topics) + 1, layout, kept))
+            return self.add(tick_channel(len(self._file.topics) + 1, layout, kept, names))
 
 
 # Values of rmw/types.h.

@@ -19,7 +19,7 @@ from unicon_lab.recording.bag_folder import Split
 from unicon_lab.recording.facts import content_of
 from unicon_lab.recording.recorder import Recorder
 from unicon_lab.recording.records import attachment, metadata
-from unicon_lab.recording.ticks import kept_moments, layout_facts
+from unicon_lab.recording.ticks import Names, kept_moments, layout_facts, term_names
 from unicon_ros.attachments import Attachment
 
 if TYPE_CHECKING:
@@ -121,6 +121,7 @@ class Recording(Attachment):
             recorder.close()
             raise
         self._recorder, topics.block.close = recorder, self._close
+        self._names = term_names(program)
         return {Stage.OBSERVE: [topics.block]}
 
     def _close(self) -> None:
@@ -132,7 +133,7 @@ class Recording(Attachment):
 
     def keep(self, ring: TickRing) -> None:
         """Record the ticks that a ring keeps; behind the hook."""
-        self._ticks = RecordedTicks(self._recorder, ring)
+        self._ticks = RecordedTicks(self._recorder, ring, self._names)
 
     def ended(self, report: Report) -> tuple[str, str]:
         """See `Attachment`."""
@@ -165,12 +166,13 @@ class RecordedTicks:
     Args:
         recorder: not started yet.
         ring: whose blocks stand in the program.
+        names: of elements, as of `term_names`.
     """
 
-    def __init__(self, recorder: Recorder, ring: TickRing) -> None:
+    def __init__(self, recorder: Recorder, ring: TickRing, names: Names) -> None:
         self._recorder, self._ring = recorder, ring
         self._layout = layout = ring.layout
-        self._write = recorder.tick_channel(layout, ring.outside)
+        self._write = recorder.tick_channel(layout, ring.outside, names)
         moments = kept_moments(layout, ring.outside).values()
         self._whole = slice(HEAD.size, HEAD.size + layout.nbytes)
         self._row = bytearray(HEAD.size + sum(moment.size for moment in moments))

@@ -1,8 +1,9 @@
 """The message of a kept tick: a ROS type made of a layout, whose bytes are those of the states.
 
-Any reader of ROS 2 bags finds every state by name in it. `HEAD` of the ring comes first, then the
-states at each moment: all of them as they lie in the buffer, or one after the other those that came
-from outside. Alignment in CDR is that of the buffer; gaps are fields named `padding…`.
+Any reader of ROS 2 bags finds every state in it, and every element that has a name by this name:
+`sent.joint_pos.fr_hip_joint`. `HEAD` of the ring comes first, then the states at each moment: all
+of them as they lie in the buffer, or one after the other those that came from outside. Alignment in
+CDR is that of the buffer; gaps are fields named `padding…`.
 
 The memory of blocks stands beside the ticks: snapshots as JSON, without the loss of a bit.
 """
@@ -16,24 +17,34 @@ import math
 import re
 import time
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from unicon_base import AnyDict, StateError
 from unicon_core.memory import ATOMS, Component, EnumMember, FromLibrary, GeneratorState, Snapshot
+from unicon_core.policies.policy import policy_of
 from unicon_core.runtime.tick_ring import HEAD, PHASES
 from unicon_core.states import Layout
 from unicon_lab.recording.mcap_file import McapFile
 from unicon_lab.recording.records import MESSAGE, MESSAGE_HEAD, ROW, Buffer, Channel
+
+if TYPE_CHECKING:
+    from unicon_core.workflow import Program
 
 SCHEMA = "unicon.record/1"
 TOPIC = "/unicon/ticks"
 
 FRAMES = "/unicon/frames/"
 """Topics of frames begin so; behind it stands the name of their handle without `_handle`."""
+
+PHASE = "\n".join(f"uint32 {phase.name}={n}" for n, phase in enumerate(PHASES)) + "\nuint32 phase"
+"""The field of a phase below its constants, by which Foxglove names the values."""
+
+Names = Mapping[str, Sequence[str]]
+"""State to the names of its elements, where its own specification has none."""
 
 RecordedSubset = Mapping[str, frozenset[str] | None]
 """Moment to the states that are kept there; None for all."""
@@ -103,32 +114,78 @@ def kept_moments(layout: Layout, kept: RecordedSubset) -> dict[str, Moment]:
     return found
 
 
-def tick_channel(number: int, layout: Layout, kept: RecordedSubset) -> Channel:
+def term_names(program: Program) -> Names:
+    """Return the elements of each policy's observation, as `last_action_fr_hip_joint`.
+
+    An element of an earlier frame ends in its age: `…_2_ago`.
+    """
+    found: dict[str, list[str]] = {}
+    for policy in filter(None, map(policy_of, program.blocks)):
+        observed = policy.lane.observation
+        state = next((name for name in policy.writes if name.endswith("observation")), "")
+        if observed is None or state not in program.states:
+            continue
+        found[state] = []
+        for part, i, age in map(observed.element_of, range(observed.size)):
+            element = f"{part.term.name}_{part.names[i] if part.names else i}"
+            found[state].append(f"{element}_{age}_ago" if age else element)
+    return found
+
+
+def tick_channel(number: int, layout: Layout, kept: RecordedSubset, names: Names) -> Channel:
     """Return the channel of kept ticks.
 
     Args:
         number: of the channel in its file.
         layout: of the states.
         kept: what is kept of a tick, moment by moment.
+        names: of elements, as of `term_names`.
     """
+    named: dict[str, str] = {}
     texts = {
-        name: ("States" if moment.whole else name.capitalize(), _states_text(layout, moment))
+        name: (
+            "States" if moment.whole else name.capitalize(),
+            _fields(layout, moment, names, named),
+        )
         for name, moment in kept_moments(layout, kept).items()
     }
     # Readers know a type by its name: two layouts must not share one.
-    mark = hashlib.sha256(f"{texts}".encode()).hexdigest()[:8]
+    mark = _mark(f"{texts}")
     lines = [
         f"# A tick of unicon, to the bit; the states' layout is {layout.hash}.",
-        *("int64 stamp_ns", "int64 tick", "uint32 phase", "uint32 ended"),
+        *("int64 stamp_ns", "int64 tick", PHASE, "uint32 ended"),
         *(f"unicon/{word}{mark} {name}" for name, (word, _) in texts.items()),
     ]
-    for word, text in dict(texts.values()).items():
-        lines += ["=" * 80, f"MSG: unicon/{word}{mark}", text]
-    return Channel(number, TOPIC, f"unicon/msg/Tick{mark}", "\n".join(lines), "ros2msg", "")
+    types = {f"{word}{mark}": text for word, text in texts.values()} | named
+    return Channel(
+        number, TOPIC, f"unicon/msg/Tick{mark}", message_text(lines, types), "ros2msg", ""
+    )
 
 
-def _states_text(layout: Layout, moment: Moment) -> str:
-    """Return the fields of a message whose bytes are those of the states."""
+def message_text(lines: Iterable[str], types: Mapping[str, str]) -> str:
+    """Return the definition of a message.
+
+    Args:
+        lines: its own fields.
+        types: name of each further type, without `unicon/`, to its fields.
+    """
+    parts = ("\n".join(["=" * 80, f"MSG: unicon/{name}", text]) for name, text in types.items())
+    return "\n".join([*lines, *parts])
+
+
+def _mark(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:8]
+
+
+def _fields(layout: Layout, moment: Moment, names: Names, named: dict[str, str]) -> str:
+    """Return the fields of a message whose bytes are those of the states.
+
+    Args:
+        layout: of the states.
+        moment: where they stand.
+        names: of elements.
+        named: takes the types that have an element a field.
+    """
     lines: list[str] = []
     taken: set[str] = set()
     end = 0
@@ -137,10 +194,16 @@ def _states_text(layout: Layout, moment: Moment) -> str:
             lines.append(f"uint8[{place - end}] padding{end}")
         if name:
             slot, spec = layout.slots[name], layout.specs[name]
-            kind, size = slot.dtype, np.dtype(slot.dtype).itemsize
+            kind, count = slot.dtype, slot.nbytes // np.dtype(slot.dtype).itemsize
+            both = names.get(name, ()), spec.names  # the former may be of another policy
+            elements = next((e for e in both if slot.shape[-1:] == (len(e),)), ())
             if kind not in _ROS_TYPES:
-                kind, size = "uint8", 1
-            length = f"[{slot.nbytes // size}]" if slot.shape else ""
+                kind, count, elements = "uint8", slot.nbytes, ()
+            if elements:
+                text = "\n".join(f"{kind} {field}" for field in field_names(elements))
+                kind, count = f"Named{_mark(text)}", count // len(elements)
+                named[kind], kind = text, f"unicon/{kind}"
+            length = f"[{count}]" if count > 1 or (slot.shape and not elements) else ""
             said = ", ".join(filter(None, (spec.unit, spec.frame)))
             comment = f"  # {said}" if said else ""
             lines.append(f"{kind}{length} {_field(name, taken)}{comment}")
@@ -148,13 +211,18 @@ def _states_text(layout: Layout, moment: Moment) -> str:
     return "\n".join(lines)
 
 
+def field_names(names: Iterable[str]) -> list[str]:
+    """Return different names that ROS allows for fields, made of any texts."""
+    taken: set[str] = set()
+    return [_field(name, taken) for name in names]
+
+
 def _field(name: str, taken: set[str]) -> str:
-    """Return a name that ROS allows, made of a state's."""
-    clean = re.sub("_+", "_", name.lower()).strip("_")
+    clean = re.sub("[^a-z0-9]+", "_", name.lower()).strip("_")
     field, number = clean, 1
-    while field in taken or field.startswith("padding"):
+    while field in taken or field.startswith("padding") or not field[:1].isalpha():
         number += 1
-        field = f"state_{clean}_{number}"
+        field = f"state_{clean}_{number}".replace("__", "_")
     taken.add(field)
     return field
 

@@ -1,89 +1,40 @@
 """Foxglove: a WebSocket server of foxglove-sdk with the bytes that ROS gets, for `--view=foxglove`.
 
 Topics are those of the run's message map, encoded by the bridge's own encoders; /tf, /tf_static and
-robot_description besides, and the meshes that this names. A client may publish what the map takes
-as a velocity (`cmd_vel`), set the parameters of `unicon_node` that count at once, and call its
-services.
+robot_description besides, the meshes that this names, and every state (`/unicon/ticks`). A client
+may publish what the map takes as a velocity (`cmd_vel`), set the parameters of `unicon_node` that
+count at once, and call its services.
 """
 
 from __future__ import annotations
 
+import json
 import math
 import struct
 import threading
 import time
-import xml.etree.ElementTree as Xml
-from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
-from urllib.parse import unquote, urlsplit
 
-from unicon_base import AnyMapping, UniconError, imported
-from unicon_base.packages import package_file
+from unicon_base import AnyMapping, imported
+from unicon_base.errors import cannot
 from unicon_core.platforms.platform import Facts
 from unicon_core.states import States
 from unicon_core.workflow import Program
-from unicon_lab.recording.recorded_topics import RecordedTopics, string_message
-from unicon_lab.view.publishers import Publishers
+from unicon_lab.recording.recorded_topics import RecordedTopics
+from unicon_lab.view.foxglove_topics import Publishers, Ticks, Topics, foxglove_layout
 from unicon_lab.view.shown import Shown
 from unicon_lab.view.source import Remote, Source
-from unicon_msgs_map.layout.messages import Messages, shared_messages
 from unicon_ros.web_front import Front, hidden_address
-
-SERVED = "package://unicon"
-
-
-class MeshServer:
-    """Gives Foxglove the files that the robot_description it got names, and no others.
-
-    It has no file before `offered`. Foxglove asks a server for `package:` alone, and its own
-    browser for `file:`, which may be on another machine. So `file:///PATH` becomes
-    `package://unicon/PATH`.
-    """
-
-    def __init__(self) -> None:
-        self._files: dict[str, Path] = {}
-
-    def offered(self, message: bytes) -> bytes:
-        """Return a robot_description as clients get it; from then on its meshes are given out.
-
-        Args:
-            message: std_msgs/String as CDR: 8 bytes, the text and a NUL.
-        """
-        root = Xml.fromstring(message[8:-1].decode())
-        for mesh in root.iter("mesh"):
-            uri = mesh.get("filename", "")
-            path = urlsplit(uri).path
-            with suppress(UniconError):  # its package has gone
-                if uri.startswith("file:"):
-                    file, uri = Path(unquote(path)), f"{SERVED}{path}"
-                else:
-                    file = package_file(uri, "mesh")
-                self._files[uri] = file
-            mesh.set("filename", uri)
-        return string_message('<?xml version="1.0"?>\n' + Xml.tostring(root, encoding="unicode"))
-
-    def fetch(self, uri: str) -> bytes | None:
-        """Return the bytes of a file, None where it is not one of those; in threads of the server.
-
-        Args:
-            uri: as it stands in the description, letter by letter.
-        """
-        file = self._files.get(uri)
-        try:
-            return None if file is None else file.read_bytes()
-        except OSError:
-            return None
-
 
 APP = "https://app.foxglove.dev"
 """Whose pages may come in besides those of this machine."""
 
 TRIGGER = "std_srvs/srv/Trigger"
-BACKLOG = 4096
-"""Messages that are kept for a slow client; older ones are dropped for it alone."""
+BACKLOG, LARGEST = 4096, 64 << 20
+"""Messages that are kept for a slow client, and bytes of ticks at most; older ones are dropped for
+it alone."""
 ANSWER = 2.0
 """How long a service waits for the run, in [s]."""
 LOUD, LINES = 1.0, 10
@@ -99,14 +50,14 @@ class Foxglove:
         shown: the run.
         source: of its ticks.
         remote: what clients publish, set and call goes there.
-        options: `host`, `port`, `token`.
+        options: `host`, `port`, `token`, and `layout`, a file for a layout or "".
 
     Attributes:
         address: for Foxglove's "Open connection".
 
     Raises:
         MissingDependencyError: foxglove-sdk is not installed.
-        UniconError: the map does not fit, or no port is free.
+        UniconError: the map does not fit, no port is free, or the layout cannot be written.
     """
 
     def __init__(self, shown: Shown, source: Source, remote: Remote, options: AnyMapping) -> None:
@@ -119,13 +70,18 @@ class Foxglove:
         self._answers: dict[int, tuple[bool, str]] = {}
         self._answered = threading.Condition(self._lock)
         self._handle = 0
-        self._topics = _Topics(foxglove, self._context)
+        self._topics = Topics(foxglove, self._context)
         program = cast(Program, _program_of(shown, self._states))
         recorder = cast(Any, self._topics)
         self._record = RecordedTopics(
             recorder, program, shown.map, frame_prefix=shown.frame_prefix
         ).block.tick
+        self._ticks = Ticks(shown, self._topics)
         self._driver = Publishers(shown, remote, self._say)
+        if options.get("layout"):
+            with cannot(f"write {options['layout']}", "give a path in a writable folder"):
+                text = json.dumps(foxglove_layout(shown, self._ticks.feet))
+                Path(options["layout"]).write_text(text, encoding="utf-8")
         self._loud_until, self._lines = 0.0, 0
         hidden = hidden_address()
         capability = websocket.Capability
@@ -139,7 +95,7 @@ class Foxglove:
             services=self._services(foxglove),
             asset_handler=self._topics.meshes.fetch,
             context=self._context,
-            message_backlog_size=BACKLOG,
+            message_backlog_size=max(16, min(BACKLOG, LARGEST // shown.layout.nbytes)),
         )
         try:
             host, token = str(options["host"]), str(options["token"])
@@ -157,6 +113,7 @@ class Foxglove:
             self._handle = tick.handle
             self._states.buffer[:] = tick.buffer
             self._record()
+            self._ticks(tick, self._source.texts)
         self._driver.look()
         answers, self._source.answers[:] = list(self._source.answers), []
         with self._answered:
@@ -273,57 +230,6 @@ def _listener(base: Any, sink: Foxglove) -> Any:
             return sink.parameters([])
 
     return Listener()
-
-
-class _Topics:
-    """Takes messages in the place of a recorder."""
-
-    def __init__(self, foxglove: Any, context: Any) -> None:
-        self._foxglove, self._context = foxglove, context
-        self._latched: dict[int, tuple[Any, bytes]] = {}
-        self.meshes = MeshServer()
-
-    def start(self) -> None:
-        """Nothing has to begin."""
-
-    def close(self) -> None:
-        """Nothing is open."""
-
-    def channel(
-        self,
-        topic: str,
-        kind: str,
-        messages: Messages | None = None,
-        qos: object = None,
-        latched: bytes = b"",
-    ) -> Callable[[int, bytes], bool]:
-        """Advertise a topic, and return what takes its messages."""
-        known = (messages or shared_messages()).definition(kind)
-        made = self._foxglove.Channel(
-            f"/{topic.lstrip('/')}",
-            schema=self._foxglove.Schema(
-                name=known.name, encoding=known.encoding, data=known.text.encode()
-            ),
-            message_encoding="cdr",
-            context=self._context,
-        )
-        if latched and topic.endswith("robot_description"):
-            latched = self.meshes.offered(latched)
-        if latched:
-            self._latched[made.id()] = made, latched
-
-        def write(stamp_ns: int, message: bytes) -> bool:
-            if made.has_sinks():
-                made.log(latched or bytes(message), log_time=stamp_ns)
-            return True
-
-        return write
-
-    def again(self, channel: int) -> None:
-        """Tell a latched message once more, to who has just subscribed."""
-        found = self._latched.get(channel)
-        if found is not None:
-            found[0].log(found[1])
 
 
 def _program_of(shown: Shown, states: States) -> SimpleNamespace:

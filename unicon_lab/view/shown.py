@@ -21,6 +21,7 @@ from unicon_core.terrain.words import Terrain
 from unicon_core.workflow import Program
 from unicon_core.workflow.flow_yaml import skills_of
 from unicon_core.workflow.shadow import shadowed_in
+from unicon_lab.recording.ticks import Names, term_names
 from unicon_ros.parameter_table import AT_ONCE, RANGES
 from unicon_ros.peripheral import peripheral_states
 
@@ -116,6 +117,7 @@ class Shown:
         swaps: a policy ticks beside another one and may replace it.
         bodies: names of the simulated bodies by their numbers, where a viewer may drag them.
         pushes: the base of a simulated robot may be pushed.
+        names: of elements of states, as of `term_names`.
     """
 
     workflow: str
@@ -137,6 +139,7 @@ class Shown:
     swaps: bool = False
     bodies: tuple[str, ...] = ()
     pushes: bool = False
+    names: Names = field(default_factory=dict)
 
     def tell(self, values: Mapping[str, float]) -> None:
         """Note the present values of parameters; in a viewer's process."""
@@ -191,6 +194,7 @@ def shown_of(
         shadowed_in(program.blocks) is not None,
         bodies,
         pushable(program),
+        term_names(program),
     )
     return shown, variables
 

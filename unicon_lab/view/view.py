@@ -293,6 +293,7 @@ class View(Fed):
             controls.runner = runner
         run = (runner, self._told, self._options, driver, controls)
         driver.attach(self._start(*run, DEAD_MAN, driver.interval, *self._names), runner)
+        self._options.pop("layout", None)  # it is written once
         controls.others += [driver.look, self._tick]
         tell = runner.options.warn
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -12,8 +11,8 @@ from numpy.typing import ArrayLike
 from unicon_base import AnyDict
 from unicon_base.arrays import Array, Float32, Float64
 from unicon_core.models.frames import yaw_of
-from unicon_core.models.loaded import floors, import_mujoco
-from unicon_core.models.posed import PosedModel, foot_bodies, foot_geoms
+from unicon_core.models.loaded import import_mujoco
+from unicon_core.models.posed import FootContacts, PosedModel, foot_bodies
 from unicon_core.models.terrain import load_on
 from unicon_core.platforms.kit.base import rotation
 from unicon_core.states.standard import EXTERNAL_FORCE
@@ -25,9 +24,6 @@ _PATH = (90, 90, 200)
 _FOOT = (214, 39, 40)
 _GRID, _HALF = (140, 146, 158), 12  # [m] from the middle to the edge
 _STEP, _LONGEST = 0.03, 2000  # [m] between points of the path, and points at most
-TOUCHING = 0.005
-"""A foot nearer to the floor stands on it, [m]."""
-
 _ABOVE = 0.2  # [m] from the highest joint to the arrows
 _BACK = 500_000_000  # [ns] by which time goes back at a reset; clocks of robots may jitter
 _FORCE = 2  # its row of the arrows
@@ -89,12 +85,7 @@ class Stage:
         self._floats = loaded.base is not None
         feet = tuple(shown.robot.feet)
         self._feet = foot_bodies(loaded.model, feet)
-        self._soles = foot_geoms(loaded.model, feet)
-        self._floors = floors(loaded.model)
-        self._uneven = shown.terrain is not None
-        if self._uneven:  # no distances to a field of heights: its contacts are looked at
-            for geoms in self._soles.values():
-                loaded.model.geom_margin[geoms] = TOUCHING
+        self._touching = FootContacts(self._posed, feet, shown.terrain is not None)
         base = loaded.base
         self._body = 1 if base is None else int(loaded.model.jnt_bodyid[base])
         self.pose = Pose(loaded.model.nbody)
@@ -137,7 +128,9 @@ class Stage:
             bodies = self._model.body_rootid == self._model.body_rootid[self._body]
             self._above = float(data.xpos[bodies, 2].max() - pose.base[2]) + _ABOVE
         pose.feet = {foot: np.array(data.xpos[body]) for foot, body in self._feet.items()}
-        pose.feet |= {foot: np.array(data.geom_xpos[g[0]]) for foot, g in self._soles.items()}
+        pose.feet |= {
+            foot: np.array(data.geom_xpos[g[0]]) for foot, g in self._touching.soles.items()
+        }
         pose.touching = self._contacts(states)
         self._arrows(states, pose)
         if EXTERNAL_FORCE in states:
@@ -195,25 +188,7 @@ class Stage:
         if "foot_contact" in states:
             sure = states["foot_contact"].reshape(-1)
             return frozenset(foot for foot, value in zip(self._robot.feet, sure) if value > _SURE)
-        if self._uneven:
-            return self._on_ground()
-        distance, model, data = self._mujoco.mj_geomDistance, self._model, self._posed.data
-        return frozenset(
-            foot
-            for foot, geoms in self._soles.items()
-            if any(
-                distance(model, data, floor, geom, 1.0, None) < TOUCHING
-                for floor, geom in product(self._floors, geoms)
-            )
-        )
-
-    def _on_ground(self) -> frozenset[str]:
-        """Feet that touch what stands still."""
-        model, data = self._model, self._posed.data
-        self._mujoco.mj_collision(model, data)
-        pairs = np.array(data.contact.geom).reshape(-1, 2)
-        met = pairs[(model.body_weldid[model.geom_bodyid[pairs]] == 0).any(axis=1)]
-        return frozenset(foot for foot, own in self._soles.items() if np.isin(met, own).any())
+        return self._touching()
 
     def _arrows(self, states: Mapping[str, Array], pose: Pose) -> None:
         """Draw both velocities over the base, 1 m/s as 0.6 m, along its heading."""
