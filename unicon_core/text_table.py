@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import sys
@@ -9,6 +10,7 @@ import unicodedata
 from collections.abc import Collection, Iterable, Sequence
 from itertools import zip_longest
 from pathlib import Path
+from typing import TextIO
 
 WIDTH = 80
 """Columns of what is printed, but to a terminal that is wider."""
@@ -17,6 +19,27 @@ WIDTH = 80
 def terminal_width() -> int:
     """Return the columns that standard output has: the terminal's where there are more than 80."""
     return max(WIDTH, shutil.get_terminal_size().columns) if sys.stdout.isatty() else WIDTH
+
+
+def fitted(text: str) -> str:
+    """Return a text whose lines fit the terminal; as it is where standard output is none.
+
+    What stands behind a label, or the branch of a tree, and two blanks stays in its column.
+    """
+    if not sys.stdout.isatty():
+        return text
+    lines, width = [], terminal_width()
+    for line in text.split("\n"):
+        first = re.match(r"\s*(?:\S.*?\s{2,}(?=\w))?", line)[0]  # type: ignore[index]
+        short = display_width(line) <= width
+        lines += [line] if short else wrapped(line[len(first) :], width, first, " " * len(first))
+    return "\n".join(lines)
+
+
+def alarming(text: str, stream: TextIO) -> str:
+    """Return a text in red where a stream is a terminal with colours, else as it is."""
+    plain = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
+    return text if plain or not stream.isatty() else f"\x1b[31m{text}\x1b[0m"
 
 
 def display_width(text: str) -> int:
@@ -85,9 +108,12 @@ def aligned(
         rows: of equal length, the first one the heads.
         right: columns that are aligned to the right.
         underlined: whether a rule stands below the heads.
-        width: columns of the display that a line may take; None for any number. Two columns of
-            long words that have no slash to break at take more.
+        width: columns of the display that a line may take; None for those of the terminal, or
+            any number where standard output is none. Two columns of long words that have no slash
+            to break at take more.
     """
+    if width is None and sys.stdout.isatty():
+        width = terminal_width()
     lines = _fitted(rows, right, underlined, width)
     if lines is not None:
         return lines

@@ -14,7 +14,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as some
 
 from unicon_base.errors import WorkflowError
-from unicon_core.blocks.controls.device import REMOTES, Controls, Keyboard, device_block, keyboard
+from unicon_core.blocks.controls.device import (
+    BUTTON_KEYS,
+    HELP,
+    REMOTES,
+    STICK_KEYS,
+    Controls,
+    Keyboard,
+    device_block,
+    keyboard,
+)
 from unicon_core.blocks.controls.gamepad import EVENT, Gamepad, gamepad
 from unicon_core.robots import load_robot
 from unicon_core.states import States
@@ -156,6 +165,12 @@ def test_keys_count_for_a_while_and_once_commands_leave(pad, monkeypatch):
         os.write(master, b"s ")
         keys()
         assert not pad.controls.sticks.any()
+        os.write(master, b"?")
+        keys()
+        assert pad.told == [HELP, HELP]  # when it begins, and where it is asked for
+        assert not pad.controls.sticks.any()
+        assert all(f" {key} " in HELP for key in STICK_KEYS)
+        assert " ".join(BUTTON_KEYS.values()) in HELP
         os.write(master, b"q")
         keys()
         os.close(slave)

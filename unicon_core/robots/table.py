@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -10,7 +9,7 @@ from unicon_base import AnyDict, AnyMapping, RobotError, one_line
 from unicon_core.evidence import evidence_of, load_evidence
 from unicon_core.robots.load import load_robot, robot_names
 from unicon_core.robots.robot import JOINT_FIELDS, Hand, Place, Robot
-from unicon_core.text_table import aligned, figure, span
+from unicon_core.text_table import aligned, figure, span, wrapped
 
 _UNITS = {
     "lower": "rad",
@@ -175,17 +174,8 @@ def _said(value: Any) -> str:
 def _wrapped(rows: Sequence[tuple[str, str]], indent: str = "") -> str:
     """Two columns, the second one wrapped below itself."""
     width = max((len(key) for key, _ in rows), default=0)
-    lines = []
+    lines: list[str] = []
     for key, text in rows:
         start = f"{indent}{key.ljust(width)}  "
-        lines.append(
-            textwrap.fill(
-                text,
-                _WIDTH,
-                initial_indent=start,
-                subsequent_indent=" " * len(start),
-                break_long_words=False,
-                break_on_hyphens=False,
-            )
-        )
+        lines += wrapped(text, _WIDTH, start, " " * len(start))
     return "\n".join(lines)

@@ -161,7 +161,7 @@ class RunOptions:
         capacity: ticks whose time stamps are kept.
         detail: each block of each tick gets a time stamp, also where they take longer than it.
         warn: takes warnings, one line each.
-        status: called about once a second with facts for a status line, or None.
+        status: called some times a second with facts for a status line, or None.
         operator: wait for `Runner.go` before a robot moves, where the workflow does not say that
             nobody is asked. False: whoever runs it has decided.
         native: run blocks that have a C++ twin as native code, with the same commands.

@@ -19,6 +19,7 @@ from unicon_core.runtime.startup_sequence import StartupSequence
 from unicon_core.runtime.statistics import Starvation, advice_of
 from unicon_core.runtime.ticker import Ticker
 from unicon_core.signals import SIGNALS, Interrupted, signal_name
+from unicon_core.text_table import figures
 from unicon_core.workflow import Program
 
 FEW = 256
@@ -396,5 +397,11 @@ class Runner:
 
     def _status(self) -> None:
         assert self.options.status is not None
-        period, faults = self.program.period, len(self.faults)
-        self.options.status(self.statistics.status(self._started_ns, period, faults))
+        program = self.program
+        facts = self.statistics.status(self._started_ns, program.period, self.phase.value)
+        if self.faults:
+            facts["faults"] = len(self.faults)
+        if program.command_bounds:
+            command = program.states["velocity_command"].reshape(-1)[:3]
+            facts["command"] = " ".join(figures(command, ".2f"))
+        self.options.status(facts)

@@ -19,6 +19,7 @@ import numpy as np
 from unicon_base.arrays import Array, Bool, Float64, Int64
 from unicon_core.flow import CompiledGraph
 from unicon_core.pacing import REAL_TIME, Pacing
+from unicon_core.text_table import aligned
 
 
 def percentiles(values_us: Array) -> dict[str, float]:
@@ -29,11 +30,11 @@ def percentiles(values_us: Array) -> dict[str, float]:
     return {name: round(float(each), 3) for name, each in zip(("p50", "p99", "max"), values)}
 
 
-def _row(times_us: dict[str, float], period_us: float) -> str:
+def _cells(times_us: dict[str, float], period_us: float) -> list[str]:
     """Return p50, p99, max and the share of the period, without digits that mean nothing."""
     values = [times_us[name] for name in ("p50", "p99", "max")]
-    cells = " ".join(f"{each:9.{0 if each >= 100.0 else 1}f}" for each in values)
-    return f"{cells} {times_us['p50'] / period_us:7.1%}"
+    cells = [f"{each:.{0 if each >= 100.0 else 1}f}" for each in values]
+    return [*cells, f"{times_us['p50'] / period_us:.1%}"]
 
 
 class TickStatistics:
@@ -92,14 +93,16 @@ class TickStatistics:
         """
         self.rows[self.count :] = 0
 
-    def status(self, started_ns: int, period: float, faults: int) -> dict[str, Any]:
-        """Return the facts of a status line."""
+    def status(self, started_ns: int, period: float, phase: str) -> dict[str, Any]:
+        """Return the facts of a status line; lateness is the worst one of the last second."""
         wall = (time.perf_counter_ns() - started_ns) * 1e-9
+        last = np.arange(max(self.count - round(1.0 / period), 0), self.count) % len(self.rows)
+        late = float((self.rows[last, 2] - self.rows[last, 0]).max(initial=0)) * 1e-6
         return {
-            "t": f"{self.count * period:.1f} s",
-            "rate": f"{self.count / wall:.1f} Hz",
+            f"{self.count * period:.1f} s": phase,
+            f"{self.count / wall:.1f} Hz": "",
+            "late": f"{late:.1f} ms",
             "overruns": self.overruns,
-            "faults": faults,
         }
 
     def kept(self) -> Int64:
@@ -217,12 +220,11 @@ class TickStatistics:
 
     def table(self, period_us: float) -> str:
         """Return block × p50/p99/max and share of the period, as text."""
-        width = max((len(label) for label in self.labels), default=5)
-        lines = [f"{'block':<{width}}  {'p50 µs':>9} {'p99 µs':>9} {'max µs':>9} {'share':>7}"]
+        rows = [["block", "p50 µs", "p99 µs", "max µs", "share", ""]]
         for i, (label, row) in enumerate(self.block_us().items()):
-            mark = "  after send" if i in self.deferred else ""
-            lines.append(f"{label:<{width}}  {_row(row, period_us)}{mark}")
-        lines.append(f"{'tick':<{width}}  {_row(self.tick_us(), period_us)}")
+            rows.append([label, *_cells(row, period_us), "after send" * (i in self.deferred)])
+        rows.append(["tick", *_cells(self.tick_us(), period_us), ""])
+        lines = aligned(rows, right=range(1, 5), underlined=False)
         if self.overruns:
             late = {label for i in self.deferred for label in (self.labels[i], self.group_label(i))}
             for label, count in self.overrun_blocks(period_us).items():

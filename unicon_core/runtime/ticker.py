@@ -18,6 +18,8 @@ from unicon_core.runtime.statistics import Detail, TickStatistics
 from unicon_core.workflow import Program
 from unicon_core.workflow.program_data import NEVER_NS
 
+STATUS_S = 0.25
+"""Between two status lines, in [s]; at full speed 1 s of ticks."""
 OTHER_RATE = 0.2
 """Part by which ticks with each n-th arrival may be off the workflow's rate."""
 
@@ -32,7 +34,7 @@ class Ticker:
         program: whose states and platform it is about.
         root: the tree of a tick.
         capacity: ticks whose time stamps are kept.
-        status: called about once a second, or None.
+        status: called every `STATUS_S`, or None.
         compiles: makes the graph of the tree, as `compile_graph` does.
 
     Attributes:
@@ -133,7 +135,7 @@ class Ticker:
         """
         program = self._program
         program.gate.hung, program.paced = self._hung, not full_speed
-        status_every = max(1, round(1.0 / program.period))
+        status_every = max(1, round((1.0 if full_speed else STATUS_S) / program.period))
         if program.pacing.trigger == "state":
             self._triggered(limit, status_every, program.platform.wait)  # type: ignore[attr-defined]
         elif full_speed:

@@ -69,11 +69,6 @@ def state_rows(root: Node, states: States, limit: int = 4) -> list[tuple[str, ..
     return rows
 
 
-def parts_table(parts: Parts, states: States) -> list[str]:
-    """Return `parts_rows` as lines of text."""
-    return aligned(parts_rows(parts, states))
-
-
 def parts_rows(parts: Parts, states: States) -> list[tuple[str, ...]]:
     """Return the heads, then what each part publishes, where, and when the others are silent."""
     rows: list[tuple[str, ...]] = [PARTS_HEAD]
@@ -234,7 +229,7 @@ def show_text(
     layout = states.layout
     batch = "" if layout.num_robots is None else f" × {layout.num_robots} robots"
     parts = [
-        "\n".join(aligned([*_tree(root, critical, "", "")], underlined=False)),
+        "\n".join(aligned([*_tree(root, critical, "", "")], underlined=False, width=1 << 20)),
         f"{MARK} {LEGEND}",
         f"{len(states)} states{batch}, {layout.nbytes} bytes, layout {layout.hash[:12]}",
         "\n".join(aligned(state_rows(root, states))),

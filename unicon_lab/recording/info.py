@@ -137,8 +137,7 @@ def info_text(info: AnyDict) -> str:
             rows.append((f"policy {name}", f"sha256 {policy['sha256'][:12]}"))
         versions = ", ".join(f"{name} {number}" for name, number in info["versions"].items())
         rows.append(("versions", versions))
-    width = max(len(name) for name, _ in rows)
-    lines = [f"{name:<{width}}  {text}" for name, text in rows]
+    lines = aligned(rows, underlined=False)
     topics = [("topic", "type", "messages")]
     topics += [(name, each["type"], str(each["messages"])) for name, each in info["topics"].items()]
     return "\n".join([*lines, "", *aligned(topics, right={2})])

@@ -18,7 +18,7 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 from unicon_base import AnyMapping, imported
-from unicon_base.errors import cannot
+from unicon_core.page import write_file
 from unicon_core.platforms.platform import Facts
 from unicon_core.states import States
 from unicon_core.workflow import Program
@@ -79,9 +79,8 @@ class Foxglove:
         self._ticks = Ticks(shown, self._topics)
         self._driver = Publishers(shown, remote, self._say)
         if options.get("layout"):
-            with cannot(f"write {options['layout']}", "give a path in a writable folder"):
-                text = json.dumps(foxglove_layout(shown, self._ticks.feet))
-                Path(options["layout"]).write_text(text, encoding="utf-8")
+            layout = json.dumps(foxglove_layout(shown, self._ticks.feet), indent=1)
+            write_file(Path(options["layout"]), layout.encode())
         self._loud_until, self._lines = 0.0, 0
         hidden = hidden_address()
         capability = websocket.Capability

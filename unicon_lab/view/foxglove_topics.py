@@ -260,7 +260,7 @@ class Ticks:
         self._touching: FootContacts | None = None
         if "foot_contact" not in specs:
             with suppress(UniconError):  # its model cannot be read
-                if self.feet and shown.model and {"base_pos_w", "base_quat"} <= {*specs}:
+                if self.feet and shown.model and shown.simulated:
                     posed = PosedModel(load_on(shown.model, shown.robot, shown.terrain))
                     self._touching = FootContacts(posed, self.feet, shown.terrain is not None)
             self.feet = self.feet if self._touching else ()
@@ -289,7 +289,7 @@ class Ticks:
         if touching is None:
             return [bool(sure > 0.5) for sure in states["foot_contact"]] if self.feet else []
         place = np.concatenate([states[name] for name in ("base_pos_w", "base_quat", "joint_pos")])
-        if not np.isfinite(place).all():
+        if not np.isfinite(place).all() or not place[:3].any():  # its place is not known
             return [False] * len(self.feet)
         touching.posed.put(place[7:], place[:7])
         return [foot in touching() for foot in self.feet]
@@ -303,14 +303,11 @@ def foxglove_layout(shown: Shown, feet: Sequence[str]) -> AnyDict:
     panels["3D!robot"]["layers"]["grid"]["frameId"] = frames["odom_frame"]
     elements = {"JOINT": shown.layout.specs["joint_pos"].names, "FOOT": feet}
     for panel in panels.values():
-        for word, names in elements.items():
-            there = panel.get("paths", ())
-            panel["paths"] = [path for path in there if not path["value"].endswith(word)]
-            panel["paths"] += [
-                path
-                | {"value": path["value"].replace(word, name), "enabled": path["enabled"] or not k}
-                for k, name in enumerate(field_names(names))
-                for path in there
-                if path["value"].endswith(word)
+        if "paths" in panel:
+            panel["paths"] = [
+                {**path, "value": f"{front}.{field}", "enabled": path["enabled"] or not k}
+                for path in panel["paths"]
+                for front, _, word in [path["value"].rpartition(".")]
+                for k, field in enumerate(field_names(elements.get(word, (word,))))
             ]
     return layout

@@ -116,8 +116,8 @@ class Bench:
         if self.cases:
             lines += ["", *aligned(rows, right=range(1, 5), underlined=False)]
         if self.facts:
-            width = max(map(len, self.facts))
-            lines += ["", *(f"{name:<{width}}  {value}" for name, value in self.facts.items())]
+            facts = [(name, str(value)) for name, value in self.facts.items()]
+            lines += ["", *aligned(facts, underlined=False)]
         if self.ratios:
             rows_of_ratios = [("ratio", "value", "bar", "")]
             for name, ratio in self.ratios.items():

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING
 from unicon_base import AnyDict, UniconError, alternatives
 from unicon_base.packages import registered
 from unicon_core.page import write_file
-from unicon_ros.cli.console import print_table
+from unicon_ros.cli.console import print_table, print_text
 from unicon_ros.cli.options import (
     MAP,
     WORKFLOW,
@@ -47,7 +48,7 @@ def check(arguments: argparse.Namespace) -> int:
     """Run the command; exit status 0 clean, 1 findings."""
     from unicon_core.check import CheckResult, check_workflow
     from unicon_core.check.subject import Subject
-    from unicon_core.text_table import terminal_width
+    from unicon_core.text_table import alarming, terminal_width
 
     def mirror(subject: Subject, result: CheckResult) -> None:
         values = subject.document.values
@@ -70,7 +71,8 @@ def check(arguments: argparse.Namespace) -> int:
         result.write(arguments.json)
     if arguments.quiet:
         result.sections.clear()
-    print(result.text(terminal_width()))
+    text = result.text(terminal_width())
+    print(text.replace("\nFindings\n", f"\n{alarming('Findings', sys.stdout)}\n", 1))
     return 1 if result.findings else 0
 
 
@@ -97,7 +99,7 @@ def show(arguments: argparse.Namespace) -> int:
     from unicon_core.flow import compile_graph
     from unicon_core.runtime.phases import describe
     from unicon_core.show.svg import show_page, show_svg
-    from unicon_core.show.text import parts_table, show_mermaid, show_text
+    from unicon_core.show.text import parts_rows, show_mermaid, show_text
     from unicon_core.workflow import Program, load_document
 
     # Dry: nothing is opened or published only to be shown.
@@ -118,17 +120,18 @@ def show(arguments: argparse.Namespace) -> int:
             write_file(Path(path), text.encode())
             print(path)
         else:
-            print(show_text(*facts, robot=program.robot, policies=program.policies))
+            print_text(show_text(*facts, robot=program.robot, policies=program.policies))
             print("\nPhases")
             for phase, what in describe(program):
-                print(f"  {phase:<10} {what}")
+                print_text(f"  {phase:<10} {what}")
             if program.gates:
                 print("\nGates")
                 gates = [(f"  {g.name}", getattr(g, "about", "")) for g in program.gates]
                 print_table(gates)
             if program.parts is not None:
                 print("\nParts")
-                print("\n".join(f"  {line}" for line in parts_table(program.parts, program.states)))
+                rows = parts_rows(program.parts, program.states)
+                print_table([(f"  {part}", *row) for part, *row in rows], underlined=True)
     finally:
         program.close()
     return 0

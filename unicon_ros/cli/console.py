@@ -5,14 +5,16 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shutil
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from unicon_base import AnyDict
 from unicon_core.non_blocking_writer import NonBlockingWriter, to_stderr
-from unicon_core.text_table import Rows, aligned
+from unicon_core.text_table import Rows, aligned, display_width, fitted
 
 CLEAR = "\r\x1b[K"
 
@@ -20,6 +22,11 @@ CLEAR = "\r\x1b[K"
 def print_table(rows: Rows, *, underlined: bool = False, **options: Any) -> None:
     """Print rows of cells; options as of `aligned`."""
     print("\n".join(aligned(rows, underlined=underlined, **options)))
+
+
+def print_text(text: str) -> None:
+    """Print lines that fit a terminal."""
+    print(fitted(text))
 
 
 def print_json(values: Any) -> None:
@@ -64,8 +71,8 @@ class Console:
         return True
 
     def warn(self, message: str) -> None:
-        """Say a warning, one line; dropped where nobody reads."""
-        self.say(f"warning: {message}")
+        """Say a warning, one line, or what begins with `note: `; dropped where nobody reads."""
+        self.say(message if message.startswith("note: ") else f"warning: {message}")
 
     def say(self, message: str) -> None:
         """Say something else, one line; dropped where nobody reads."""
@@ -73,10 +80,17 @@ class Console:
         self._outlet(f"{clear}unicon: {message}\n")
 
     def status(self, values: AnyDict) -> None:
-        """Rewrite the status line."""
-        line = "  ".join(f"{key} {value}" for key, value in values.items())
+        """Rewrite the status line; the last values are left out where it would scroll."""
+        parts = [f"{key} {value}".strip() for key, value in values.items()]
+        while len(parts) > 1 and display_width("  ".join(parts)) >= self._columns():
+            parts.pop()
         self._shown = True
-        self._outlet(f"{CLEAR}{line}")
+        self._outlet(f"{CLEAR}{'  '.join(parts)}")
+
+    def _columns(self) -> int:
+        with suppress(OSError):
+            return os.get_terminal_size(2).columns or 80
+        return shutil.get_terminal_size().columns
 
     def status_of(self, arguments: argparse.Namespace) -> Callable[[AnyDict], None] | None:
         """Return what shows the status line; None where there is none."""

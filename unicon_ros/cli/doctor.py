@@ -26,7 +26,7 @@ from unicon_base import PlatformError, UniconError, cannot
 from unicon_core.latches import Latched, clearing, flags_of, ipv4_of, latch_folder, latches
 from unicon_core.pacing import REAL_TIME
 from unicon_core.text_table import aligned
-from unicon_ros.cli.console import print_json, print_table
+from unicon_ros.cli.console import print_json, print_table, print_text
 from unicon_ros.cli.options import argument, command, flag
 
 OLDEST = (3, 10)
@@ -286,10 +286,10 @@ def _doctor(arguments: argparse.Namespace) -> int:
         print_json([asdict(each) for each in found])
     else:
         rows = [(MARKS[e.level], e.area, e.name, e.said) for e in found]
-        for line, each in zip(aligned(rows, underlined=False), found):
-            print(line.rstrip())
+        for line, each in zip(aligned(rows, underlined=False, width=1 << 20), found):
+            print_text(line.rstrip())
             if each.remedy:
-                print(f"     {each.remedy}")
+                print_text(f"     {each.remedy}")
         worse = [each for each in found if each.level in ("warning", "error")]
         print(f"\n{len(worse)} of {len(found)} need a look" if worse else "\nnothing is wrong")
     return int(any(each.level == "error" for each in found))

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from unicon_base import AnyDict, PlatformError, PolicyError, UniconError, WorkflowError
-from unicon_ros.cli.console import print_json, print_table
+from unicon_ros.cli.console import print_json, print_table, print_text
 from unicon_ros.cli.options import Adder, argument, command, flag
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def _robots(arguments: argparse.Namespace) -> int:
 
     if not arguments.name and (arguments.json or arguments.quiet):
         return _rows(robots_rows(), arguments)
-    print(robot_table(load_robot(arguments.name)) if arguments.name else robots_table())
+    print_text(robot_table(load_robot(arguments.name)) if arguments.name else robots_table())
     return 0
 
 
@@ -72,14 +72,14 @@ def _policies(arguments: argparse.Namespace) -> int:
         return _rows(policies_rows(), arguments)
     robot = _robot(arguments)
     if not arguments.name:
-        print(policies_table())
+        print_text(policies_table())
         return 0
     try:
         contract = load_policy(arguments.name, robot=robot)
     except IncompletePolicyError as error:
         print(known_text(error.facts))
         raise
-    print(policy_table(contract, robot))
+    print_text(policy_table(contract, robot))
     return 0
 
 
@@ -130,7 +130,9 @@ def _blocks(arguments: argparse.Namespace) -> int:
     if arguments.name is None and not (arguments.json or arguments.quiet):
         from unicon_core.workflow.flow_yaml import FLOW_WORDS
 
-        print(f"\na flow also has policy: NAME, call: module:function and {', '.join(FLOW_WORDS)}")
+        print_text(
+            f"\na flow also has policy: NAME, call: module:function and {', '.join(FLOW_WORDS)}"
+        )
     return status
 
 
@@ -151,9 +153,9 @@ def _factories(kind: str, error: type[UniconError], arguments: argparse.Namespac
         return 0
     factory = find_factory(kind, name, error)
     target = known(kind).get(name, name)
-    print(name if target == name else f"{name}  ({target})")
+    print_text(name if target == name else f"{name}  ({target})")
     print_table([(f"  {option}", what) for option, what in _parameters(factory)])
-    print(f"\n{inspect.getdoc(factory) or 'no description'}")
+    print_text(f"\n{inspect.getdoc(factory) or 'no description'}")
     return 0
 
 

@@ -23,6 +23,7 @@ from unicon_base import UniconError, one_line
 from unicon_base.packages import loaded
 from unicon_core.non_blocking_writer import open_standard_files
 from unicon_core.signals import SIGNALS, Interrupted
+from unicon_core.text_table import alarming
 from unicon_ros.cli import assets, bench, check, doctor, known, preflight, run, states, talk
 
 OURS = {
@@ -54,8 +55,12 @@ class _Parser(argparse.ArgumentParser):
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
         for short, word, what in (
-            ("-q", "--quiet", "less: no status line, no tables; of lists the names"),
-            ("-v", "--verbose", "more: what the parts log, and where an error comes from"),
+            ("-q", "--quiet", "less: no status line; of lists the names"),
+            (
+                "-v",
+                "--verbose",
+                "more: the blocks' times, what the parts log, and where an error comes from",
+            ),
         ):
             told = argparse.SUPPRESS  # what was said before the command stays
             self.add_argument(short, word, action="store_true", default=told, help=what)
@@ -131,7 +136,7 @@ def _run(argv: Sequence[str] | None) -> int:
 
 def _refuse(message: str) -> int:
     with suppress(OSError):
-        print(f"unicon: error: {message}", file=sys.stderr)
+        print(f"{alarming('unicon: error:', sys.stderr)} {message}", file=sys.stderr)
     return 1
 
 

@@ -18,6 +18,7 @@ from unicon_base.packages import loaded
 from unicon_core.non_blocking_writer import relayed_stderr
 from unicon_core.page import refuse_unwritable
 from unicon_core.signals import SIGNALS, Guard
+from unicon_core.text_table import alarming, fitted
 from unicon_ros.attachments import Asked, Attachment, File, attached, said_at_end
 from unicon_ros.cli.console import Console
 from unicon_ros.cli.options import RUN_OPTIONS, WORKFLOW, Adder, command
@@ -213,10 +214,11 @@ def _tell(arguments: argparse.Namespace, ended: _Ended) -> int:
     status = 3 if report.faults else 0
     written, problems = _write(arguments, ended)
     try:
-        if not arguments.quiet:
-            print(runner.statistics.table(runner.program.period * 1e6))
-            print()
-        print("\n".join([report.summary(), *written]))
+        lines = fitted("\n".join([report.summary(), *written])).split("\n")
+        alarms = ("faults ",) * bool(report.faults) + ("base ",) * bool(report.fell)
+        print("\n".join(alarming(e, sys.stdout) if e.startswith(alarms) else e for e in lines))
+        if arguments.verbose:
+            print(f"\n{runner.statistics.table(runner.program.period * 1e6)}")
     except BrokenPipeError:
         pass  # the reader has gone
     except OSError as error:

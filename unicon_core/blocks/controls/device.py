@@ -173,6 +173,10 @@ STICK_KEYS = {
 """Key to element of `sticks` and value."""
 BUTTON_KEYS = dict(zip("123456789", ("A", "B", "X", "Y", "start", "select", "L1", "R1", "L2")))
 ESCAPE = "\x1b"
+HELP = (
+    "note: keys: w s forward and back, a d left and right, q e turn, space zero, 1 to 9 A B X Y "
+    "start select L1 R1 L2, ? these"
+)
 
 
 def keyboard(
@@ -236,6 +240,8 @@ class Keyboard:
             element = BUTTONS.index(BUTTON_KEYS[key])
             controls.buttons[element] = 1
             self._left[4 + element] = self._ticks
+        elif key == "?":
+            self._context.tell(HELP)
         elif key == " ":
             controls.sticks[...] = 0.0
             controls.buttons[...] = 0
@@ -268,6 +274,7 @@ class Keyboard:
             self._context.tell(f"keyboard: {error}; nothing is pressed")
             return False
         self._before = before
+        self._context.tell(HELP)
         self._controls.alive[...] = 1
         return True
 
