@@ -38,8 +38,7 @@ from unicon_core.models.terrain import RayHeights, SceneGround, load_on
 from unicon_core.native.tick import NativeTick
 from unicon_core.policies import Observation, Policy, PolicyContract, policy_states
 from unicon_core.policies.child_policy import ChildPolicy
-from unicon_core.policies.chunks import ChunkSpec
-from unicon_core.policies.contract import ChildSpec
+from unicon_core.policies.chunks import ChildSpec, ChunkSpec
 from unicon_core.policies.networks.child import ChildNetwork, Question, layouts_of, sides_of
 from unicon_core.policies.networks.onnx_file import Arrays
 from unicon_core.policies.perception import HEIGHT_SCAN, HeightScan, HeightScanSpec

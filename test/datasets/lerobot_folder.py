@@ -21,7 +21,7 @@ from lerobot.policies.factory import (
 )
 
 from unicon_core.policies import load_policy
-from unicon_core.policies.contract import ChildSpec
+from unicon_core.policies.chunks import ChildSpec
 from unicon_core.policies.networks import open_network
 from unicon_core.robots import load_robot
 

@@ -30,7 +30,8 @@ from unicon_core.check.twin.perturb import (
 from unicon_core.flow import Block, Stage
 from unicon_core.platforms.kit.base import rotation
 from unicon_core.policies import PolicyContract
-from unicon_core.policies.contract import ChildSpec, FilterSpec
+from unicon_core.policies.chunks import ChildSpec
+from unicon_core.policies.contract import FilterSpec
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import Layout
 from unicon_core.workflow import HookBlocks, Program, load_document

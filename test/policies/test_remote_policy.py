@@ -23,7 +23,7 @@ from unicon_base.errors import PolicyError, UniconError, WorkflowError
 from unicon_base.resources import same_modules
 from unicon_core.check import check_workflow, graph
 from unicon_core.policies import load_policy
-from unicon_core.policies.contract import RemoteSpec
+from unicon_core.policies.chunks import RemoteSpec
 from unicon_core.policies.networks import child, remote
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.report import Report

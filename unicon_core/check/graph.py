@@ -19,7 +19,7 @@ from unicon_core.flow.checks import check_graph
 from unicon_core.flow.nodes import children_of, chooser_of, unfused
 from unicon_core.memory import Memory, holder_of
 from unicon_core.policies import PolicyContract
-from unicon_core.policies.contract import RemoteSpec
+from unicon_core.policies.chunks import RemoteSpec
 from unicon_core.policies.controller import controller_contract
 from unicon_core.robots import joint_index
 from unicon_core.show.text import is_critical

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from unicon_base import Fault, PolicyError
-from unicon_core.policies.chunks import DELAY, PREFIX, ChunkSpec, Plan
-from unicon_core.policies.contract import PolicyContract, RemoteSpec
+from unicon_core.policies.chunks import DELAY, PREFIX, ChunkSpec, Plan, RemoteSpec
+from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.controller import PackedStates, PrefixedStates
 from unicon_core.policies.networks.child import ChildNetwork, Question
 from unicon_core.policies.networks.remote import RemoteNetwork

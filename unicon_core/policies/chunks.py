@@ -3,19 +3,21 @@
 A row is the action from `i · period` to `(i + 1) · period` after the observation of its chunk. So
 the age of the observation is counted: rows that passed while the network was at work are skipped,
 not sent late. A plan holds an action for each tick of the workflow, whatever the two periods are.
+The network runs in the tick, or beside it in a process of its own or at a server.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from math import ceil, e
+from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 
 from unicon_base import AnyDict
 from unicon_base.arrays import Float32
-from unicon_base.schema.marks import Within, positive
+from unicon_base.schema.marks import Core, Matches, Within, positive
 from unicon_base.schema.types import Here
 
 PREFIX, DELAY = "action_prefix", "action_delay"
@@ -25,6 +27,50 @@ the last answers."""
 
 _DELAYS = 10  # answers whose delay counts, as in Black et al. 2025
 _ROUNDING = 1e-6  # of a row
+
+
+@dataclass(frozen=True, kw_only=True)
+class LateSpec:
+    """How late the actions of a network may be that runs beside the ticks.
+
+    Attributes:
+        delay: ticks of the workflow from an observation to its action; more where it comes late.
+        timeout: an action whose observation is older ends the run, in [s]; None: twice the age
+            that actions have by their delay, at least 0.25.
+    """
+
+    delay: Annotated[int, Within(1, 1000, "ticks")] = 1
+    timeout: Annotated[float | None, Within(0.001, 60.0, "s")] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChildSpec(LateSpec):
+    """How a network runs in a process of its own, which the workflow says.
+
+    Attributes:
+        cpu: core that the process stays on, or None.
+        threads: of the network.
+    """
+
+    key = "child"  # of the workflow's options
+    cpu: Core | None = None
+    threads: Annotated[int, Within(1, 64)] = 1
+
+
+@dataclass(frozen=True)
+class RemoteSpec(LateSpec):
+    """How a server runs a network (`unicon serve`).
+
+    Attributes:
+        address: of the server.
+        keys: folder with its CURVE key and ours, from the workflow's folder on; None: without.
+    """
+
+    key, threads = "remote", 1  # threads: of a network that a tool opens here
+    address: Annotated[
+        str, Matches(r"tcp://[^\s/*]+:[0-9]{1,5}|ipc://\S+", "tcp://HOST:PORT, or ipc://PATH")
+    ]
+    keys: Annotated[Path | None, Matches(r".+", "the folder of its keys")] = None
 
 
 @dataclass(frozen=True)

@@ -19,10 +19,10 @@ import numpy as np
 
 from unicon_base import AnyDict
 from unicon_base.arrays import Bool, Float32
-from unicon_base.schema.marks import Core, Made, Matches, Names, Text, Within, Write, positive
+from unicon_base.schema.marks import Made, Names, Text, Within, Write, positive
 from unicon_base.schema.types import Here
 from unicon_core.bounds import SCALE, Damping, Stiffness
-from unicon_core.policies.chunks import ChunkSpec
+from unicon_core.policies.chunks import ChildSpec, ChunkSpec, RemoteSpec
 from unicon_core.policies.hints import (
     LONGEST_FILTER,
     MOST_FRAMES,
@@ -263,50 +263,6 @@ class PhaseSpec:
                 "a phase in [rad], freeze or zero",
                 "resume",
             )
-
-
-@dataclass(frozen=True, kw_only=True)
-class LateSpec:
-    """How late the actions of a network may be that runs beside the ticks.
-
-    Attributes:
-        delay: ticks of the workflow from an observation to its action; more where it comes late.
-        timeout: an action whose observation is older ends the run, in [s]; None: twice the age
-            that actions have by their delay, at least 0.25.
-    """
-
-    delay: Annotated[int, Within(1, 1000, "ticks")] = 1
-    timeout: Annotated[float | None, Within(0.001, 60.0, "s")] = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class ChildSpec(LateSpec):
-    """How a network runs in a process of its own, which the workflow says.
-
-    Attributes:
-        cpu: core that the process stays on, or None.
-        threads: of the network.
-    """
-
-    key = "child"  # of the workflow's options
-    cpu: Core | None = None
-    threads: Annotated[int, Within(1, 64)] = 1
-
-
-@dataclass(frozen=True)
-class RemoteSpec(LateSpec):
-    """How a server runs a network (`unicon serve`).
-
-    Attributes:
-        address: of the server.
-        keys: folder with its CURVE key and ours, from the workflow's folder on; None: without.
-    """
-
-    key, threads = "remote", 1  # threads: of a network that a tool opens here
-    address: Annotated[
-        str, Matches(r"tcp://[^\s/*]+:[0-9]{1,5}|ipc://\S+", "tcp://HOST:PORT, or ipc://PATH")
-    ]
-    keys: Annotated[Path | None, Matches(r".+", "the folder of its keys")] = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -11,8 +11,8 @@ from math import prod
 
 from unicon_base import PolicyError
 from unicon_base.arrays import Array
-from unicon_core.policies.chunks import DELAY, PREFIX
-from unicon_core.policies.contract import PolicyContract, RemoteSpec
+from unicon_core.policies.chunks import DELAY, PREFIX, RemoteSpec
+from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.controller import PackedStates, PrefixedStates
 from unicon_core.policies.motion.follow import MotionClock
 from unicon_core.policies.networks.onnx import chained_outputs

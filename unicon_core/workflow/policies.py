@@ -14,7 +14,7 @@ from unicon_core.flow import Block
 from unicon_core.models.find import model_of, pick_model
 from unicon_core.policies import Policy, PolicyContract, load_policy, policy_states
 from unicon_core.policies.action_map import lacking_joints
-from unicon_core.policies.contract import ChildSpec, RemoteSpec
+from unicon_core.policies.chunks import ChildSpec, RemoteSpec
 from unicon_core.policies.controller import ControllerContract, controller_contract, prefix_of
 from unicon_core.policies.perception import ImageTerm
 from unicon_core.policies.policy import DrivenPolicy

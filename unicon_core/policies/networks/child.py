@@ -20,7 +20,8 @@ import numpy as np
 from unicon_base.arrays import Array, Float64
 from unicon_base.errors import Fault, PolicyError, UniconError
 from unicon_core.platforms.child.pipe import ALARM, LONGEST, Parent, Pipe, text_of
-from unicon_core.policies.contract import ChildSpec, PolicyContract
+from unicon_core.policies.chunks import ChildSpec
+from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.networks import Network, Remembering, Tensor, open_network
 from unicon_core.policies.networks.onnx_file import Arrays
 from unicon_core.signals import SIGNALS

@@ -23,7 +23,8 @@ import numpy as np
 from unicon_base import Fault, PolicyError, UniconError
 from unicon_base.arrays import Float64
 from unicon_base.resources import sha256_of
-from unicon_core.policies.contract import PolicyContract, RemoteSpec
+from unicon_core.policies.chunks import RemoteSpec
+from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.networks.child import (
     Question,
     Sides,
