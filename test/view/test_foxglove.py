@@ -13,6 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote, unquote
@@ -28,7 +29,7 @@ pytest.importorskip("onnxruntime")
 from foxglove_client import Client
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from velocity_sent import VelocitySent
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from worn_meshes import go2_with_meshes, write_stl
 
 from unicon_base.errors import UniconError
@@ -401,12 +402,16 @@ def test_beyond_this_machine_a_token_is_needed() -> None:
 def test_its_estop_ends_the_run() -> None:
     rig = Rig(port=8790)
     client = Client(rig.view.address)
+    client.subscribe("/unicon/state")
     begin = time.monotonic()
     client.call("/unicon/estop")
     rig.thread.join(5.0)
     assert rig.report is not None
     assert rig.report.faults == [FAULT]
     assert time.monotonic() - begin < 3.0
+    with suppress(ConnectionClosed):  # all that was sent before it ended
+        client.until(lambda: False, 2.0)
+    assert decoded(client, "/unicon/state")[-1].fault == FAULT
     client.close()
 
 

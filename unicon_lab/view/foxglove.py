@@ -69,7 +69,7 @@ class Foxglove:
         self._lock = threading.Lock()
         self._answers: dict[int, tuple[bool, str]] = {}
         self._answered = threading.Condition(self._lock)
-        self._handle = 0
+        self._handle, self._faults = 0, list[str]()
         self._topics = Topics(foxglove, self._context)
         program = cast(Program, _program_of(shown, self._states))
         recorder = cast(Any, self._topics)
@@ -113,6 +113,10 @@ class Foxglove:
             self._states.buffer[:] = tick.buffer
             self._record()
             self._ticks(tick, self._source.texts)
+        last, faults = self._source.latest(), [*self._source.texts["faults"]]
+        if last is not None and faults != self._faults:  # no tick may follow it
+            self._faults = faults
+            self._ticks(last, self._source.texts, again=True)
         self._driver.look()
         answers, self._source.answers[:] = list(self._source.answers), []
         with self._answered:

@@ -270,11 +270,17 @@ class Ticks:
         channel = tick_channel(1, shown.layout, {"sent": None}, shown.names)
         self._ticks = topics.made(TOPIC, channel.type, channel.definition)
 
-    def __call__(self, tick: Snapshot, texts: AnyMapping) -> None:
-        """Log a tick for clients that have subscribed, with the newest one of `faults`."""
+    def __call__(self, tick: Snapshot, texts: AnyMapping, again: bool = False) -> None:
+        """Log a tick for clients that have subscribed, with the newest one of `faults`.
+
+        Args:
+            tick: it.
+            texts: as of `Source`.
+            again: the tick is logged, and the texts are new.
+        """
         stamp = int(tick.states["stamp_ns"]) if self._simulated else tick.wall_ns
         head = b"\x00\x01\x00\x00", stamp, tick.tick, tick.phase
-        if self._ticks.has_sinks():
+        if self._ticks.has_sinks() and not again:
             self._ticks.log(HEAD.pack(*head, ENDED) + tick.buffer.tobytes(), log_time=stamp)
         if self._state.has_sinks():
             times = tick.late_ns * 1e-3, tick.busy_ns * 1e-3, tick.overruns
@@ -292,7 +298,8 @@ class Ticks:
         if not np.isfinite(place).all() or not place[:3].any():  # its place is not known
             return [False] * len(self.feet)
         touching.posed.put(place[7:], place[:7])
-        return [foot in touching() for foot in self.feet]
+        standing = touching()
+        return [foot in standing for foot in self.feet]
 
 
 def foxglove_layout(shown: Shown, feet: Sequence[str]) -> AnyDict:
