@@ -15,13 +15,17 @@ from enum import Enum
 from numbers import Real
 from typing import Any, Literal, get_args
 
+import numpy as np
+
 from unicon_base.errors import Fault, PlatformError, UniconError, alternatives
 from unicon_core.flow import CompiledGraph, Stage, Tick, Zip, as_block, compile_graph
 from unicon_core.flow.nodes import never_done
 from unicon_core.pacing import WallClock
 from unicon_core.platforms.kit.damping import BLEND, DAMPING_TIME, Damping
 from unicon_core.platforms.platform import CountsArrivals, WaitsForData
+from unicon_core.runtime.statistics import TickStatistics
 from unicon_core.signals import Interrupted
+from unicon_core.text_table import figures
 from unicon_core.workflow import Program
 
 WIND_DOWN = 5.0
@@ -244,3 +248,29 @@ def refuse_pace(program: Program, options: RunOptions) -> None:
         )
     if wrong:
         raise PlatformError(f"platform {platform.facts.name!r} {wrong}")
+
+
+def status_facts(
+    statistics: TickStatistics, started_ns: int, program: Program, phase: Phase
+) -> dict[str, Any]:
+    """Return the facts of a status line; lateness is the worst one of the last second.
+
+    Args:
+        statistics: of the run.
+        started_ns: when it began, [ns, perf_counter].
+        program: of the run.
+        phase: its present one.
+    """
+    count, rows, period = statistics.count, statistics.rows, program.period
+    last = np.arange(max(count - round(1.0 / period), 0), count) % len(rows)
+    late = float((rows[last, 2] - rows[last, 0]).max(initial=0)) * 1e-6
+    facts = {
+        f"{count * period:.1f} s": phase.value,
+        f"{count * 1e9 / (time.perf_counter_ns() - started_ns):.1f} Hz": "",
+        "late": f"{late:.1f} ms",
+        "overruns": statistics.overruns,
+    }
+    if program.command_bounds:
+        command = program.states["velocity_command"].reshape(-1)[:3]
+        facts["command"] = " ".join(figures(command, ".2f"))
+    return facts

@@ -13,13 +13,12 @@ from unicon_core.flow import Node
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.pacing import prepare_process, process_age_s
 from unicon_core.platforms.platform import Resettable
-from unicon_core.runtime.phases import WIND_DOWN, Damp, Phase, RunOptions, refuse_pace
+from unicon_core.runtime.phases import WIND_DOWN, Damp, Phase, RunOptions, refuse_pace, status_facts
 from unicon_core.runtime.report import Report, SpareFiles, reason_of
 from unicon_core.runtime.startup_sequence import StartupSequence
 from unicon_core.runtime.statistics import Starvation, advice_of
 from unicon_core.runtime.ticker import Ticker
 from unicon_core.signals import SIGNALS, Interrupted, signal_name
-from unicon_core.text_table import figures
 from unicon_core.workflow import Program
 
 FEW = 256
@@ -397,11 +396,5 @@ class Runner:
 
     def _status(self) -> None:
         assert self.options.status is not None
-        program = self.program
-        facts = self.statistics.status(self._started_ns, program.period, self.phase.value)
-        if self.faults:
-            facts["faults"] = len(self.faults)
-        if program.command_bounds:
-            command = program.states["velocity_command"].reshape(-1)[:3]
-            facts["command"] = " ".join(figures(command, ".2f"))
-        self.options.status(facts)
+        facts = status_facts(self.statistics, self._started_ns, self.program, self.phase)
+        self.options.status(facts | ({"faults": len(self.faults)} if self.faults else {}))

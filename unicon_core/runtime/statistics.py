@@ -93,18 +93,6 @@ class TickStatistics:
         """
         self.rows[self.count :] = 0
 
-    def status(self, started_ns: int, period: float, phase: str) -> dict[str, Any]:
-        """Return the facts of a status line; lateness is the worst one of the last second."""
-        wall = (time.perf_counter_ns() - started_ns) * 1e-9
-        last = np.arange(max(self.count - round(1.0 / period), 0), self.count) % len(self.rows)
-        late = float((self.rows[last, 2] - self.rows[last, 0]).max(initial=0)) * 1e-6
-        return {
-            f"{self.count * period:.1f} s": phase,
-            f"{self.count / wall:.1f} Hz": "",
-            "late": f"{late:.1f} ms",
-            "overruns": self.overruns,
-        }
-
     def kept(self) -> Int64:
         """Return the rows kept, oldest first: due, end, step start, deferred start, block ends."""
         capacity = len(self.rows)
