@@ -63,7 +63,7 @@ if (!page.ready) {
   const style = document.createElement("style");
   style.textContent = `
     #unicon-bar { position: fixed; top: 8px; z-index: 100000; display: flex; gap: 8px;
-      transform: translateX(-50%); font: 13px/1.3 system-ui, sans-serif }
+      width: max-content; transform: translateX(-50%); font: 13px/1.3 system-ui, sans-serif }
     #unicon-estop { height: 54px; border-radius: 10px; border: 3px solid #fff; color: #fff;
       font: bold 22px system-ui, sans-serif; box-shadow: 0 2px 8px #0008; cursor: pointer;
       padding: 0 14px; white-space: nowrap }
