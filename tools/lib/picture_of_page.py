@@ -43,7 +43,8 @@ def main(workflow: str = "go2_walk", path: str = "docs/pictures/view.png") -> in
             tab.goto(found[1])
             moment = r"parseFloat((document.body.innerText.match(/\d+ · ([\d.]+) s/) ?? [0, 0])[1])"
             tab.get_by_text("Plots", exact=True).click(timeout=60_000)
-            tab.wait_for_function(f"() => {moment} > {MOMENT}", timeout=60_000)
+            drawn = "Object.keys(window.__viserTestpoints.uplots ?? {}).length == 3"
+            tab.wait_for_function(f"() => {drawn} && {moment} > {MOMENT}", timeout=60_000)
             # viser's own note that a machine without a GPU draws.
             tab.add_style_tag(content=".mantine-Notifications-root {display: none}")
             shot = tab.screenshot()

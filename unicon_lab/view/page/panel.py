@@ -173,7 +173,8 @@ class Panel:
                 Chart(gui, shown, history, first) for first in (VELOCITY, "joint_pos", last)
             ]
         self.plots.dock_left()
-        self.plots.set_width(400 if client.camera.image_width > _WIDE else PANEL)
+        self._wide = 400 if client.camera.image_width > _WIDE else PANEL
+        self.plots.set_width(self._wide)
 
     def dark(self, dark: bool) -> None:
         """Colour the page for light or dark surroundings."""
@@ -248,7 +249,8 @@ class Panel:
                 _on(group.on_click, lambda e: self._do("act", "skill", {"name": e.target.value}))
 
     def _plot(self, _: Any) -> None:
-        self.plots.visible = not self.plots.visible
+        self.plots.visible = opens = not self.plots.visible
+        self._do("plots", self._wide if opens else -self._wide)
 
     @staticmethod
     def _switch(scene: Scene, name: str, event: Any) -> None:

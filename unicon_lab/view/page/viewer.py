@@ -72,17 +72,17 @@ _FIELD, _SIDE = 0.75, np.array((0.64, -0.68, 0.35))
 """Angle of view [rad], and direction in which the camera stands."""
 
 
-def aim(camera: Any, stage: Stage) -> None:
-    """Let the robot fill what the panel leaves of a viewer's view.
+def aim(camera: Any, stage: Stage, taken: float) -> None:
+    """Let the robot fill what panels leave of a viewer's view.
 
     Args:
         camera: viser's, which knows the size of the view.
         stage: knows that of the robot.
+        taken: of the view by a panel that comes, in [px].
     """
     width, height = int(camera.image_width), max(int(camera.image_height), 1)
-    phone = width <= _PHONE
-    aspect = max(width - (0 if phone else PANEL), 1) / height
-    slope = float(np.tan(0.5 * _FIELD))
+    phone, slope = width <= _PHONE, float(np.tan(0.5 * _FIELD))
+    aspect = max(width - (0 if phone else taken), 1) / height
     distance = 0.56 * stage.size / np.sin(np.arctan(slope * min(aspect, 1.0)))
     below = 2.0 * slope * distance * (_SHEET if phone else -_BAR)
     camera.fov = _FIELD
@@ -227,7 +227,7 @@ class Viewer:
         self._chart = 0
         with client.atomic():
             if stage is not None:
-                aim(client.camera, stage)
+                aim(client.camera, stage, PANEL)
             self._scene = Scene(client.scene, stage)
             self.panel = Panel(client, shown, history, self._scene, number, self._do, span)
             self.link = PageConnection(client, self._heard, self.panel.stop)
@@ -288,8 +288,7 @@ class Viewer:
             self._brief = brief
             self.link.brief(brief)
         panel.wheel(self._wheel.driver, self.number)
-        drives = self._wheel.driver == self.number
-        if drives != self._grips:  # else a drag turns the view
+        if (drives := self._wheel.driver == self.number) != self._grips:
             self._grips = drives
             self._scene.grip(self._drag if drives else None)
         if tick is not None:
@@ -347,28 +346,28 @@ class Viewer:
 
     def _drag(self, body: int, event: Any) -> None:
         """Take a drag: the point of the body that was gripped is pulled to the cursor."""
-        stage, scene = self._stage, self._scene
-        if event.phase == "end" or stage is None:
+        if event.phase == "end" or self._stage is None:
             self._held = []
             self._wheel.pull(self.number, time.monotonic(), 0)
         elif event.phase == "start":
-            place = stage.held(body, scene.placed(event.start_position))
-            self._held = [stage.dragged[body], place, event.end_position]
+            place = self._stage.held(body, self._scene.placed(event.start_position))
+            self._held = [self._stage.dragged[body], place, event.end_position]
         elif self._held:
             self._held[2] = event.end_position
             self._pull()
 
     def _pull(self) -> None:
         """Pull to where the cursor is now: the world passes below a robot that is followed."""
-        body, place, goal = self._held
-        ends = place, self._scene.placed(goal)
-        if not self._wheel.pull(self.number, time.monotonic(), body, *ends):
+        *held, goal = self._held
+        if not self._wheel.pull(self.number, time.monotonic(), *held, self._scene.placed(goal)):
             self._held = []
 
     def _do(self, what: str, *given: Any) -> None:
         now, wheel = time.monotonic(), self._wheel
         if what == "estop":
             self._remote.estop()
+        elif what == "plots" and self._stage is not None:
+            aim(self._client.camera, self._stage, *given)
         elif what == "wheel":
             if wheel.driver == self.number:
                 wheel.let_go(self.number)
