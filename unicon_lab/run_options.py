@@ -167,7 +167,7 @@ def attachments(asked: Asked) -> Iterator[Attachment]:
         view.declare(asked.document)
         yield view
     if get("metrics") is not None:
-        from unicon_lab.view.view import Metered
+        from unicon_lab.view.metered import Metered
 
         yield Metered(asked.options["metrics"], asked.session, asked.warn)
     if get("diagnose"):

@@ -49,9 +49,10 @@ class Attachment:
         address: where it is seen, once it is attached; "" where nowhere.
         label: says in the operator's line what is there.
         drives: an operator can start and stop the run there.
+        stays: it is closed once `watched` is False, others when the run has ended.
     """
 
-    address, label, drives = "", "", False
+    address, label, drives, stays = "", "", False, False
 
     def hook(self, program: Program) -> HookBlocks:
         """Return its blocks, while the program is built."""
@@ -63,6 +64,10 @@ class Attachment:
     def ended(self, report: Report) -> tuple[str, str] | None:
         """Complete the report of a run that ended; return a name and what to say, if anything."""
         return None
+
+    def watched(self) -> bool:
+        """Return whether somebody looks at a run that has ended; called ten times a second."""
+        return False
 
     def files(self, report: Report) -> Iterator[File]:
         """Return what it writes at the end."""

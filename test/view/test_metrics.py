@@ -20,8 +20,8 @@ import pytest
 from unicon_core import __version__
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_document
+from unicon_lab.view.metered import Metered
 from unicon_lab.view.metrics import _OF_STATES, BOUNDS, _escaped, _number
-from unicon_lab.view.view import Metered
 from unicon_ros.cli.main import main
 
 RATE = 200.0

@@ -216,6 +216,11 @@ class Remote:
             self._publish()
             return self._acts
 
+    def pages(self, count: int) -> None:
+        """Report how many browsers look."""
+        if self._feed is not None:
+            self._feed.words(pages=count)
+
     def beat(self) -> None:
         """Tell that this process lives; not that a driver does."""
         with self._lock:

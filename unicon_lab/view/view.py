@@ -1,4 +1,4 @@
-"""Processes beside a run that read its ticks: a viewer, `--view`, and metrics, `--metrics`.
+"""Processes beside a run that read its ticks, such as a viewer, `--view`.
 
 Each tick is copied into a ring in shared memory; one copy a tick.
 """
@@ -6,6 +6,7 @@ Each tick is copied into a ring in shared memory; one copy a tick.
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -25,13 +26,12 @@ from unicon_lab.view import PORT
 from unicon_lab.view.driver import Driver
 from unicon_lab.view.shown import DEAD_MAN, HEAD, NAME, PAGE, shown_of
 from unicon_ros.attachments import Attachment
-from unicon_ros.bridge.bindings import told_states
 from unicon_ros.bridge.services import Controls
 from unicon_ros.parameters import Tuning
 from unicon_ros.peripheral import Peripheral, peripheral_states, short
 
 if TYPE_CHECKING:
-    from unicon_core.runtime import Runner
+    from unicon_core.runtime import Report, Runner
     from unicon_ros.bridge import RosSession
 
 PROCESS = "unicon_lab.view.process"
@@ -53,6 +53,9 @@ TEXTS_S = 0.2
 
 LAST_WORDS = 0.2
 """For so long a viewer may show the last ones before it is closed, in [s]."""
+
+STAYS = 2.0
+"""A page that has gone for so long is closed, not loaded again, in [s]."""
 
 LINES = 20
 """Last lines of the run's log that a viewer gets."""
@@ -259,6 +262,9 @@ class View(Fed):
         self._texts: AnyDict = {}
         self._reader: object = None
         self._driver: Driver | None = None
+        self._end, self._seen, self._pages = "", -math.inf, 0
+        self._act: Callable[[AnyDict], object] = bool
+        self.stays = options["sink"] == "page"
 
     def declare(self, document: WorkflowDocument) -> None:
         """Let the workflow have the states that a viewer's parameters and pushes change."""
@@ -292,7 +298,9 @@ class View(Fed):
         if controls.runner is None:
             controls.runner = runner
         run = (runner, self._told, self._options, driver, controls)
-        driver.attach(self._start(*run, DEAD_MAN, driver.interval, *self._names), runner)
+        peripheral = self._start(*run, DEAD_MAN, driver.interval, *self._names)
+        driver.attach(peripheral, runner)
+        self._act, peripheral.heard = peripheral.heard, self._heard
         self._options.pop("layout", None)  # it is written once
         controls.others += [driver.look, self._tick]
         tell = runner.options.warn
@@ -310,6 +318,7 @@ class View(Fed):
             "faults": runner.faults,
             "notes": self._lines,
             "parameters": self._tuning.values(),
+            "ended": self._end,
         }
         process = peripheral.process  # one that was started again knows nothing
         if process is self._reader and texts == self._texts:
@@ -317,6 +326,31 @@ class View(Fed):
         if peripheral.wish("texts", {name: _cut(each) for name, each in texts.items()}):
             self._texts, self._reader = {**texts, "faults": list(runner.faults)}, process
         return True
+
+    def ended(self, report: Report) -> tuple[str, str] | None:
+        """Let pages show how the run ended; see `Attachment`."""
+        self._end = report.ended
+        text = f"{self.address} stays until it is closed; Ctrl-C ends it"
+        return ("page", text) if self.stays and self.watched() else None
+
+    def watched(self) -> bool:
+        """Return whether a page was open in the last two seconds."""
+        peripheral, now = self._peripheral, time.monotonic()
+        if peripheral is None or peripheral.process.poll() is not None:
+            return False
+        self._tell(peripheral)
+        peripheral.listen()
+        self._seen = now if self._pages else self._seen
+        return now - self._seen < STAYS
+
+    def _heard(self, told: AnyDict) -> None:
+        """Take how many pages are open; a viewer's wishes go to the driver while there is a run."""
+        if "pages" in told:
+            self._pages = int(told["pages"])
+        elif self._end and "act" in told and self._peripheral is not None:
+            self._peripheral.wish("answer", told["act"][1], False, "the run has ended")
+        else:
+            self._act(told)
 
     def close(self) -> None:
         """Send the last texts, and end the viewer's process; once the run has ended.
@@ -339,56 +373,3 @@ def _cut(value: Any) -> Any:
             break
         lines.insert(0, line)
     return lines
-
-
-METRICS, SINK = "metrics", "unicon_lab.view.metrics:Metrics"
-
-MOST = 40
-"""Topics whose counts are sent."""
-
-
-class Metered(Fed):
-    """Lets a process of its own count the ticks and answer; who made it closes it.
-
-    Args:
-        port: on loopback; 0 for any that is free.
-        session: of ROS, whose messages are counted, or None.
-        warn: takes lines for the operator.
-
-    Attributes:
-        address: where the metrics are, once it is attached.
-    """
-
-    label, interval = METRICS, 1.0
-
-    def __init__(
-        self, port: int, session: RosSession | None = None, warn: TextSink = print
-    ) -> None:
-        super().__init__(warn, session)
-        self._port = port
-
-    def attach(self, runner: Runner) -> None:
-        """Start the process, before the first tick.
-
-        Raises:
-            UniconError: the port cannot be had.
-        """
-        written = sorted(told_states(runner.program))
-        self._watch(runner, {"port": self._port, "written": written, "sink": SINK})
-
-    def _tell(self, peripheral: Peripheral) -> bool:
-        texts: AnyDict = {"faults": [fault[:80] for fault in self._runner.faults[:9]]}
-        if self._session is not None:
-            texts["counts"] = _counts(self._session)
-        peripheral.wish("texts", texts)
-        return super()._tell(peripheral)
-
-
-def _counts(session: RosSession) -> dict[str, list[tuple[str, int]]]:
-    """Return what passed in each direction, by topic."""
-    published: dict[str, int] = {}
-    for out in session.outgoing:  # several of ours may share a topic, such as /tf
-        published[out.topic] = published.get(out.topic, 0) + out.published
-    received = {topic.topic: topic.received for topic in session.incoming}
-    both = {"published": published, "received": received}
-    return {name: list(counts.items())[: MOST // 2] for name, counts in both.items()}

@@ -7,6 +7,7 @@ import os
 import select
 import sys
 import threading
+import time
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -50,12 +51,16 @@ def run_document(arguments: argparse.Namespace, document: WorkflowDocument) -> i
     """Run a workflow that was read, as the options say."""
     console = Console()
     # From here on a signal ends what is open, one step after the other, and is never lost.
-    try:
-        with relayed_stderr(), SIGNALS.guard() as guard:
-            ended = _run(arguments, document, console, guard)
-    finally:
-        console.close()
-    status = _tell(arguments, ended)
+    with ExitStack() as stays:
+        try:
+            with relayed_stderr(), SIGNALS.guard() as guard:
+                ended = _run(arguments, document, console, guard, stays)
+        finally:
+            console.close()
+        status = _tell(arguments, ended)
+        with SIGNALS.guard():
+            while not SIGNALS.asked and any(each.watched() for each in ended.attachments):
+                time.sleep(0.1)
     if ended.session is not None:
         close_session(ended.session, status)
     return status
@@ -73,7 +78,11 @@ class _Ended:
 
 
 def _run(
-    arguments: argparse.Namespace, document: WorkflowDocument, console: Console, guard: Guard
+    arguments: argparse.Namespace,
+    document: WorkflowDocument,
+    console: Console,
+    guard: Guard,
+    stays: ExitStack,
 ) -> _Ended:
     from unicon_core.check import refuse_errors
     from unicon_core.check.check import little_seen
@@ -108,7 +117,7 @@ def _run(
         )
         with ExitStack() as shown:
             for each in attachments:
-                shown.callback(each.close)
+                (stays if each.stays else shown).callback(each.close)
             try:
                 for line in refuse_errors(program, arguments.force):
                     console.warn(line)

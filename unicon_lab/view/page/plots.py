@@ -347,6 +347,9 @@ def status_html(
     brief = phase + (", paused" if tick.paused else "")
     found = {"phase": f"<b>{escape(phase)}</b>{brief.removeprefix(phase)}"}
     faults, silent = list(map(str, texts.get("faults", ()))), stale > 1.0 and not tick.paused
+    if ended := str(texts.get("ended", "")):
+        silent, brief = False, f"ended: {ended}"
+        found["phase"] = f"<b>{escape(brief)}</b>"
     if silent:
         silence = f"no tick for {stale:.0f} s"
         found["phase"] += f" {_red(silence)}"
@@ -374,7 +377,7 @@ def status_html(
     if driver:
         found["driver"] = escape(driver)
     if faults:
-        brief = faults[0]
+        brief = f"ended: {faults[0]}" if ended else faults[0]
         found["fault"] = "<br>".join(map(_red, faults))
     if notes := texts.get("notes"):
         found["notes"] = "<br>".join(escape(str(note)) for note in notes[-3:])

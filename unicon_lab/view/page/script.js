@@ -82,6 +82,7 @@ if (!page.ready) {
   status.id = "unicon-status";
   page.brief = (text, fault) => {
     status.textContent = text;
+    page.over = text.startsWith("ended: ");
     status.style.color = fault ? "#e03131" : "";
   };
   button.onclick = () => {
@@ -100,8 +101,8 @@ if (!page.ready) {
     bar.style.maxWidth = `${view.width - 12}px`;
     status.style.display = status.textContent && hears ? "" : "none";
     button.style.display = page.stop ? "" : "none";
-    button.style.background = !hears ? "#777" : page.stops ? "#7a0b0b" : "#d40000";
-    button.textContent = !hears ? "NO CONNECTION" : page.stops ? "E-STOP pressed" : "E-STOP";
+    button.style.background = !hears || page.over ? "#777" : page.stops ? "#7a0b0b" : "#d40000";
+    button.textContent = !hears ? "NO CONNECTION" : page.over ? "RUN HAS ENDED" : page.stops ? "E-STOP pressed" : "E-STOP";
     button.title = hears
       ? "Ends the run and damps the robot at once"
       : "The robot does not hear this page: use its own emergency stop";

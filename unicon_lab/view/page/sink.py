@@ -50,7 +50,7 @@ class Page:
         self._fps, self._link = float(options.get("fps", 30.0)), viewer
         self._history = History(shown.layout, shown.period)
         self._wheel = Wheel(remote, shown.command_bounds, bool(shown.bodies))
-        self._note = ""
+        self._note, self._pages = "", 0
         self._stage: Stage | None = None
         try:
             if shown.model is None:
@@ -88,6 +88,9 @@ class Page:
         """Show what is new; called about 60 times a second, always in the same thread."""
         now = time.monotonic()
         self._greet()
+        if len(self._viewers) != self._pages:
+            self._pages = len(self._viewers)
+            self._remote.pages(self._pages)
         if self._source.span is not None:
             self._play(now)
         self._wheel.look(now)
