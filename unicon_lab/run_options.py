@@ -163,6 +163,7 @@ def attachments(asked: Asked) -> Iterator[Attachment]:
         from unicon_lab.view.view import View
 
         options, prefix = view_options(asked.options), asked.options["frame_prefix"]
+        options |= {"record": get("record") or ""}
         view = View(options, asked.session, asked.map_name, prefix, asked.warn)
         view.declare(asked.document)
         yield view

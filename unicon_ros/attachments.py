@@ -50,9 +50,11 @@ class Attachment:
         label: says in the operator's line what is there.
         drives: an operator can start and stop the run there.
         stays: it is closed once `watched` is False, others when the run has ended.
+        again: arguments that the command is run again with, once `watched` is False; () for no.
     """
 
     address, label, drives, stays = "", "", False, False
+    again: tuple[str, ...] = ()
 
     def hook(self, program: Program) -> HookBlocks:
         """Return its blocks, while the program is built."""

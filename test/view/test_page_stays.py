@@ -47,12 +47,17 @@ def run(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], int]]:
         text=True,
     )
     try:
-        assert process.stderr is not None
-        address = next(found for line in process.stderr if (found := re.search(r":(\d+)$", line)))
-        yield process, int(address[1])
+        yield process, served(process)
     finally:
         process.kill()
         process.communicate()
+
+
+def served(process: subprocess.Popen[str]) -> int:
+    """Return the port of the page, once it is served."""
+    assert process.stderr is not None
+    found = (re.search(r"view: http://127\.0\.0\.1:(\d+)$", line) for line in process.stderr)
+    return int(next(each for each in found if each)[1])
 
 
 def printed(process: subprocess.Popen[str]) -> str:
@@ -81,6 +86,27 @@ def test_a_page_stays_until_it_is_closed(run: tuple[subprocess.Popen[str], int])
         assert process.poll() is None
     finally:
         page.close()
+    assert process.wait(15.0) == 0
+
+
+def test_a_simulation_runs_again_at_the_same_address(
+    run: tuple[subprocess.Popen[str], int],
+) -> None:
+    process, port = run
+    page = Page(port)
+    try:
+        printed(process)
+        page.set("Run again", True)
+    finally:
+        page.close()
+    assert served(process) == port
+    again = Page(port)
+    try:
+        assert process.poll() is None
+        until(lambda: any("run" in brief for brief in again.briefs))
+        assert "ended         duration" in printed(process)
+    finally:
+        again.close()
     assert process.wait(15.0) == 0
 
 

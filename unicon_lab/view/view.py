@@ -233,7 +233,8 @@ class View(Fed):
     """A viewer of one run; who made it closes it.
 
     Args:
-        options: of the sink: `sink`, `host`, `port`, `token`, `fps`.
+        options: of the sink: `sink`, `host`, `port`, `token`, `fps`; and what is recorded, as
+            `record`.
         session: of ROS, whose services act on the same run; None without ROS.
         map: name of the message map.
         frame_prefix: of ROS frames.
@@ -255,6 +256,7 @@ class View(Fed):
     ) -> None:
         super().__init__(warn, session)
         self._options = dict(options)
+        self._record = self._options.pop("record", "")
         self._names = map or "default", frame_prefix
         self.controls = session.controls if session is not None else Controls(time.sleep)
         self._tuning, self._told = Tuning(), States(PAGE)
@@ -340,6 +342,8 @@ class View(Fed):
             return False
         self._tell(peripheral)
         peripheral.listen()
+        if self.again:
+            return False
         self._seen = now if self._pages else self._seen
         return now - self._seen < STAYS
 
@@ -348,7 +352,13 @@ class View(Fed):
         if "pages" in told:
             self._pages = int(told["pages"])
         elif self._end and "act" in told and self._peripheral is not None:
-            self._peripheral.wish("answer", told["act"][1], False, "the run has ended")
+            act, number, _ = told["act"]
+            simulated, text = self._runner.program.platform.facts.simulated, "the run has ended"
+            if act == "again" and simulated and not self._record:
+                self.again = ("--view-port", str(self._options["port"]))
+            elif act == "again":
+                text = f"{self._record} is there" if simulated else "a robot is started by hand"
+            self._peripheral.wish("answer", number, bool(self.again), text)
         else:
             self._act(told)
 

@@ -63,6 +63,10 @@ def run_document(arguments: argparse.Namespace, document: WorkflowDocument) -> i
                 time.sleep(0.1)
     if ended.session is not None:
         close_session(ended.session, status)
+    for each in ended.attachments:
+        if each.again and not SIGNALS.asked:
+            command = [sys.executable, "-m", "unicon_ros", *sys.argv[1:], *each.again]
+            os.execv(sys.executable, command)
     return status
 
 

@@ -142,6 +142,7 @@ class Panel:
         _on(gui.add_button("Plots", color="gray").on_click, self._plot)
         self.sliders: list[Any] = []
         self._wheel: Any = None
+        self._again: Any = None
         self.time: Any = None
         self.play: Any = None
         if span is None:
@@ -185,6 +186,11 @@ class Panel:
         if self._html.get(id(widget)) != text:
             self._html[id(widget)] = text
             widget.content = text
+
+    def again(self, ended: bool) -> None:
+        """Offer to run a simulation again that has ended."""
+        if self._again is not None and self._again.visible != ended:
+            self._again.visible = ended
 
     def wheel(self, driver: int | None, number: int) -> None:
         """Show whether this viewer may take the wheel."""
@@ -242,6 +248,8 @@ class Panel:
             self._acts(gui, "start", "stop")
             if shown.simulated:
                 self._acts(gui, "pause", "step", "reset")
+                self._again = gui.add_button("Run again", color="blue", visible=False)
+                _on(self._again.on_click, lambda _: self._do("act", "again", {}))
             if shown.swaps:
                 self._acts(gui, "swap")
             if shown.skills:

@@ -223,8 +223,7 @@ class Viewer:
         self._device = [0.0, 0.0, 0.0]
         self._said, self._dark, self._grips, self._stage = "", False, False, stage
         self._held, self._brief = list[Any](), list[Any]()
-        self._due: dict[str, float] = {}
-        self._chart = 0
+        self._due, self._chart = dict[str, float](), 0
         with client.atomic():
             if stage is not None:
                 aim(client.camera, stage, PANEL)
@@ -284,6 +283,7 @@ class Viewer:
         panel = self.panel
         text, *brief = status(tick, self._driver())
         panel.tell(panel.status, text)
+        panel.again(str(brief[0]).startswith("ended: "))
         if brief != self._brief and self._is_due("brief", _BRIEF, time.monotonic()):
             self._brief = brief
             self.link.brief(brief)
