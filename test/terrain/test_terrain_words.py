@@ -152,10 +152,11 @@ def test_a_workflow_tells_it_too() -> None:
 
 
 def test_a_platform_that_has_flat_ground_alone_refuses() -> None:
-    told = r"'fake' cannot be told scene\.terrain; take it out of scene, or choose platform: mujoco"
+    pytest.importorskip("pybullet")
+    told = r"'pybullet' cannot be told scene\.terrain; take it out of scene, or choose platform: m"
     with pytest.raises(UniconError, match=told):
-        Program(load_document("go2_stand", {"platform": "fake", "scene.terrain": "rough"}))
-    Program(load_document("go2_stand", {"platform": "fake", "scene.terrain": "flat"})).close()
+        Program(load_document("go2_stand", {"platform": "pybullet", "scene.terrain": "rough"}))
+    Program(load_document("go2_stand", {"platform": "pybullet", "scene.terrain": "flat"})).close()
 
 
 def test_the_document_has_every_kind_and_figure() -> None:
