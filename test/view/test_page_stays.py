@@ -115,6 +115,7 @@ def test_a_signal_ends_a_page_that_stays(run: tuple[subprocess.Popen[str], int])
     page = Page(port)
     try:
         printed(process)
+        time.sleep(1.0)  # until the report is written, a signal does what it does by default
         process.send_signal(signal.SIGINT)
         assert process.wait(10.0) == 0
     finally:
