@@ -136,12 +136,12 @@ class TorchMemory:
 
     def __init__(self, torch: Any, module: Any) -> None:
         self._torch = torch
-        self._places: list[tuple[Any, str]] = []
+        self._in_place: list[tuple[Any, Any, Any]] = []  # of the module, kept, at the beginning
+        self._set: list[tuple[Any, str, Any]] = []  # owner, name, at the beginning
         self.names: list[str] = []
-        found = []
         weights = {parameter.data_ptr() for parameter in module.parameters()}
         with torch.inference_mode():
-            for path in sorted(_written(module)):
+            for path, is_set in sorted(_written(module).items()):
                 owner = module
                 for part in path[:-1]:
                     owner = getattr(owner, part)
@@ -150,9 +150,11 @@ class TorchMemory:
                 if isinstance(tensors, list) and tensors and _all_of(weights, tensors):
                     continue  # what only looks as if it were written: the graph cannot tell
                 self.names.append(".".join(path))
-                self._places.append((owner, path[-1]))
-                found.append(value)
-            self._kept = self._first = copy.deepcopy(found)
+                if is_set or not isinstance(value, torch.Tensor):
+                    self._set.append((owner, path[-1], copy.deepcopy(value)))
+                else:
+                    self._in_place.append((value, value.clone(), value.clone()))
+            self._kept = [copy.deepcopy(value) for _, _, value in self._set]
 
     def __call__(self) -> None:
         self.run()
@@ -160,22 +162,30 @@ class TorchMemory:
     def share(self) -> TorchMemory:
         """Return another memory of the same module, at its beginning."""
         other = copy.copy(self)
+        other._in_place = [(live, first.clone(), first) for live, _, first in self._in_place]
         other.reset()
         return other
 
     def recall(self) -> None:
         """Give the module what is kept; call it in inference mode."""
-        for place, value in zip(self._places, copy.deepcopy(self._kept)):
-            setattr(*place, value)
+        for live, kept, _ in self._in_place:
+            live.copy_(kept)
+        for (owner, name, _), value in zip(self._set, self._kept):
+            setattr(owner, name, copy.deepcopy(value))
 
     def commit(self) -> None:
         """Keep what the last call left."""
         with self._torch.inference_mode():
-            self._kept = copy.deepcopy([getattr(*place) for place in self._places])
+            for live, kept, _ in self._in_place:
+                kept.copy_(live)
+            self._kept = [copy.deepcopy(getattr(owner, name)) for owner, name, _ in self._set]
 
     def reset(self) -> None:
         """Keep what was there at the beginning."""
-        self._kept = self._first
+        with self._torch.inference_mode():
+            for _, kept, initial in self._in_place:
+                kept.copy_(initial)
+            self._kept = [copy.deepcopy(value) for _, _, value in self._set]
 
     def save(self) -> Any:
         """Return what is kept, as arrays; `load` takes it back."""
@@ -184,7 +194,7 @@ class TorchMemory:
         def plain(value: Any) -> Any:
             return value.detach().cpu().numpy().copy() if isinstance(value, tensor) else value
 
-        return _each(self._kept, plain)
+        return _each([[kept for _, kept, _ in self._in_place], self._kept], plain)
 
     def load(self, saved: Any) -> None:
         """Keep what another one did."""
@@ -193,7 +203,10 @@ class TorchMemory:
         def tensor(value: Any) -> Any:
             return torch.from_numpy(value.copy()) if isinstance(value, np.ndarray) else value
 
-        self._kept = _each(saved, tensor)
+        fixed, self._kept = _each(saved, tensor)
+        with torch.inference_mode():
+            for (_, kept, _), value in zip(self._in_place, fixed):
+                kept.copy_(value)
 
 
 def _each(value: Any, change: Callable[[Any], Any]) -> Any:
@@ -205,15 +218,18 @@ def _each(value: Any, change: Callable[[Any], Any]) -> Any:
     return change(value)
 
 
-def _written(module: Any) -> set[tuple[str, ...]]:
-    """Return the attributes that a call writes, as paths."""
+def _written(module: Any) -> dict[tuple[str, ...], bool]:
+    """Return the attributes that a call writes, as paths, and whether it sets them."""
     graph = module.inlined_graph
     aliases = graph.alias_db()
-    return {_path(node) for node in graph.findAllNodes("prim::SetAttr")} | {
-        _path(node)
-        for node in graph.findAllNodes("prim::GetAttr")
-        if node.output().type().kind() != "ClassType" and aliases.has_writers(node.output())
-    }
+    found: dict[tuple[str, ...], bool] = {}
+    for node in graph.findAllNodes("prim::GetAttr"):
+        value = node.output()
+        if value.type().kind() != "ClassType" and aliases.has_writers(value):
+            found[_path(node)] = False
+    for node in graph.findAllNodes("prim::SetAttr"):
+        found[_path(node)] = True
+    return found
 
 
 def _all_of(known: set[int], values: list[Any]) -> bool:
