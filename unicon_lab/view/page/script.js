@@ -80,9 +80,9 @@ if (!page.ready) {
   button.id = "unicon-estop";
   const status = document.createElement("div");
   status.id = "unicon-status";
-  page.brief = (text, fault) => {
+  page.brief = (text, fault, over) => {
     status.textContent = text;
-    page.over = text.startsWith("ended: ");
+    page.over = over;
     status.style.color = fault ? "#e03131" : "";
   };
   button.onclick = () => {

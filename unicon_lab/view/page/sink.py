@@ -109,6 +109,7 @@ class Page:
         if tick is not None and self._stage is not None:
             pose = self._stage.put(tick.tick, tick.states)
         for number, viewer in list(self._viewers.items()):
+            viewer.ended = bool(self._source.texts.get("ended"))
             try:
                 viewer.show(pose, tick, self._status, new or viewer.pictures == 0, now)
             except Exception as error:  # whatever one widget was told, the others look on

@@ -133,9 +133,9 @@ class PageConnection:
             _messages.RunJavascriptMessage(source=f"const given = {json.dumps(uuids)};\n{script}")
         )
 
-    def brief(self, text_and_fault: list[Any]) -> None:
-        """Show how the run is beside the e-stop, in red for a fault."""
-        source = f"uniconPage.brief(...{json.dumps(text_and_fault)})"
+    def brief(self, said: list[Any]) -> None:
+        """Show how the run is beside the e-stop: in words, whether badly, whether it has ended."""
+        source = f"uniconPage.brief(...{json.dumps(said)})"
         self._connection.queue_message(_messages.RunJavascriptMessage(source=source))
 
     @property
@@ -200,6 +200,7 @@ class Viewer:
     Attributes:
         acts: numbers of its acts that have no answer yet.
         pictures: sent so far.
+        ended: the run has ended.
     """
 
     def __init__(
@@ -218,11 +219,10 @@ class Viewer:
         self.number, self._client, self._shown = number, client, shown
         self._remote, self._wheel, self._recorded = remote, wheel, recorded
         self._interval = 1.0 / fps
-        self.acts: set[int] = set()
-        self.pictures = self._stops = 0
+        self.acts, self.pictures, self._stops = set[int](), 0, 0
         self._device = [0.0, 0.0, 0.0]
         self._said, self._dark, self._grips, self._stage = "", False, False, stage
-        self._held, self._brief = list[Any](), list[Any]()
+        self._held, self._brief, self.ended = list[Any](), list[Any](), False
         self._due, self._chart = dict[str, float](), 0
         with client.atomic():
             if stage is not None:
@@ -281,9 +281,9 @@ class Viewer:
 
     def _texts(self, tick: Snapshot | None, status: Status) -> None:
         panel = self.panel
-        text, *brief = status(tick, self._driver())
+        text, *brief = (*status(tick, self._driver()), self.ended)
         panel.tell(panel.status, text)
-        panel.again(str(brief[0]).startswith("ended: "))
+        panel.again(self.ended)
         if brief != self._brief and self._is_due("brief", _BRIEF, time.monotonic()):
             self._brief = brief
             self.link.brief(brief)
