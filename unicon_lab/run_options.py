@@ -163,8 +163,8 @@ def attachments(asked: Asked) -> Iterator[Attachment]:
         from unicon_lab.view.view import View
 
         options, prefix = view_options(asked.options), asked.options["frame_prefix"]
-        options |= {"record": get("record") or ""}
-        view = View(options, asked.session, asked.map_name, prefix, asked.warn)
+        recorded = get("record") or ""
+        view = View(options, asked.session, asked.map_name, prefix, asked.warn, recorded)
         view.declare(asked.document)
         yield view
     if get("metrics") is not None:

@@ -22,6 +22,17 @@ FLAGS = (
     *("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
 )
 
+CAMERA = {
+    "type": "ViewerCameraMessage",
+    "wxyz": [1, 0, 0, 0],
+    "position": [1, 1, 1],
+    "look_at": [0, 0, 0],
+    "up_direction": [0, 0, 1],
+    **dict.fromkeys(("image_height", "image_width"), 500),
+    **dict.fromkeys(("fov", "near", "far"), 1.0),
+}
+"""What a page of viser's says first."""
+
 
 class Run:
     """A run in a thread with a live page.
@@ -155,19 +166,10 @@ def look(port: int, seconds: float, answers: bool) -> list[float]:
     import zstandard
     from websockets.sync.client import connect
 
-    camera = {
-        "type": "ViewerCameraMessage",
-        "wxyz": [1, 0, 0, 0],
-        "position": [1, 1, 1],
-        "look_at": [0, 0, 0],
-        "up_direction": [0, 0, 1],
-        **dict.fromkeys(("image_height", "image_width"), 500),
-        **dict.fromkeys(("fov", "near", "far"), 1.0),
-    }
     seen, unpack = [], zstandard.ZstdDecompressor()
     protocols: Any = ["viser-v1.1.1"]
     with connect(f"ws://127.0.0.1:{port}", subprotocols=protocols, max_size=None) as socket:
-        socket.send(msgspec.msgpack.encode(camera))
+        socket.send(msgspec.msgpack.encode(CAMERA))
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             if not answers:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import browser
 import numpy as np
 import pytest
 from browser import Run
@@ -30,16 +31,7 @@ platform: {platform}
 rate: 50
 flow: {{chain: [{{pose: {{to: stand, duration: 0.5}}}}, hold]}}
 """
-CAMERA = {
-    "type": "ViewerCameraMessage",
-    "wxyz": [1, 0, 0, 0],
-    "position": [1, 1, 1],
-    "look_at": [0, 0, 0],
-    "up_direction": [0, 0, 1],
-    "image_height": 500,
-    "image_width": 800,
-    **dict.fromkeys(("fov", "near", "far"), 1.0),
-}
+CAMERA = {**browser.CAMERA, "image_width": 800}
 
 
 class Tab:

@@ -66,8 +66,8 @@ class PolicyEntry:
 
     path: Text
     given: Annotated[Mapping[str, Any] | None, Write("a mapping of facts")] = None
-    child: bool | Annotated[Any, Later("unicon_core.policies.contract:ChildSpec")] | None = None
-    remote: Annotated[Any, Later("unicon_core.policies.contract:RemoteSpec")] | None = None
+    child: bool | Annotated[Any, Later("unicon_core.policies.chunks:ChildSpec")] | None = None
+    remote: Annotated[Any, Later("unicon_core.policies.chunks:RemoteSpec")] | None = None
 
     @staticmethod
     def between(found: AnyDict, here: Here) -> None:

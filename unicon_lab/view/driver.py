@@ -67,10 +67,10 @@ class Pull:
     def __init__(self, platform: TakesForces, states: States, told: States) -> None:
         self._largest, self._platform = SHARE * platform.weight, platform
         self._bodies = len(platform.bodies)
-        pull = (told[name] for name in told if name.startswith("view_pull"))
-        self._body, self._place, self._goal = pull
+        words = ("body", "place", "goal")
+        self._body, self._place, self._goal = (told[f"view_pull_{word}"] for word in words)
         mine = (0, ...) if states.num_robots else ...
-        names = tuple(external_states())[:3]
+        names = (EXTERNAL_FORCE, f"{EXTERNAL_FORCE}_point", f"{EXTERNAL_FORCE}_body")
         self._force, self._point, self._number = (states[name][mine] for name in names)
 
     def __call__(self, fresh: bool) -> None:

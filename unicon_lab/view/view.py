@@ -233,12 +233,12 @@ class View(Fed):
     """A viewer of one run; who made it closes it.
 
     Args:
-        options: of the sink: `sink`, `host`, `port`, `token`, `fps`; and what is recorded, as
-            `record`.
+        options: of the sink: `sink`, `host`, `port`, `token`, `fps`.
         session: of ROS, whose services act on the same run; None without ROS.
         map: name of the message map.
         frame_prefix: of ROS frames.
         warn: takes lines for the operator.
+        recorded: where the run is recorded, "" for nowhere: it is not run again there.
 
     Attributes:
         address: where it is seen, once it is attached.
@@ -253,10 +253,10 @@ class View(Fed):
         map: str | None = None,
         frame_prefix: str = "",
         warn: TextSink = print,
+        recorded: str = "",
     ) -> None:
         super().__init__(warn, session)
-        self._options = dict(options)
-        self._record = self._options.pop("record", "")
+        self._options, self._recorded = dict(options), recorded
         self._names = map or "default", frame_prefix
         self.controls = session.controls if session is not None else Controls(time.sleep)
         self._tuning, self._told = Tuning(), States(PAGE)
@@ -354,10 +354,10 @@ class View(Fed):
         elif self._end and "act" in told and self._peripheral is not None:
             act, number, _ = told["act"]
             simulated, text = self._runner.program.platform.facts.simulated, "the run has ended"
-            if act == "again" and simulated and not self._record:
+            if act == "again" and simulated and not self._recorded:
                 self.again = ("--view-port", str(self._options["port"]))
             elif act == "again":
-                text = f"{self._record} is there" if simulated else "a robot is started by hand"
+                text = f"{self._recorded} is there" if simulated else "a robot is started by hand"
             self._peripheral.wish("answer", number, bool(self.again), text)
         else:
             self._act(told)
