@@ -58,6 +58,7 @@ def run_document(arguments: argparse.Namespace, document: WorkflowDocument) -> i
         finally:
             console.close()
         status = _tell(arguments, ended)
+        sys.stdout.flush()  # a page may stay for hours, and `Run again` replaces this process
         with SIGNALS.guard():
             while not SIGNALS.asked and any(each.watched() for each in ended.attachments):
                 time.sleep(0.1)
