@@ -64,11 +64,13 @@ def test_what_a_terminal_cannot_show_is_replaced(monkeypatch: pytest.MonkeyPatch
 def test_every_robot_is_listed_with_what_is_missing_to_drive_it(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    lines = unicon(capsys, "robots").splitlines()
-    assert [line.split()[0] for line in lines[1:]] == robot_names()
-    for line in lines[1:]:
-        missing = load_robot(line.split()[0]).missing_facts()
-        assert line.endswith(f"missing: {', '.join(missing)}" if missing else "complete")
+    rows, below = unicon(capsys, "robots").split("\n\n")
+    assert [line.split()[0] for line in rows.splitlines()[1:]] == robot_names()
+    assert max(map(len, rows.splitlines())) <= 120
+    missing = {name: ", ".join(load_robot(name).missing_facts()) for name in robot_names()}
+    assert below.splitlines() == [
+        f"to drive {name}, set {each}" for name, each in missing.items() if each
+    ]
 
 
 def test_every_policy_is_listed_with_its_terms(capsys: pytest.CaptureFixture[str]) -> None:

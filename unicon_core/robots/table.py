@@ -25,9 +25,9 @@ _WIDTH = 100
 # Levels of evidence, short.
 _AGAINST = {
     "never": "nothing",
-    "stand_in": "our stand-in",
+    "stand_in": "stand-in",
     "frames": "its frames",
-    "vendor": "vendor's own",
+    "vendor": "vendor's",
     "hardware": "hardware",
     None: "-",
 }
@@ -59,18 +59,19 @@ def robots_rows() -> list[AnyDict]:
 
 
 def robots_table() -> str:
-    """Return one line per robot: name, kind, joints, protocol, and whether it can be driven."""
-    head = ("name", "kind", "joints", "protocol", "description", "run against", "to drive it")
-    rows = [head]
+    """Return a row per robot (name, joints, protocol, description, evidence), then the gaps."""
+    rows, below = [("name", "joints", "protocol", "description", "run against")], list[str]()
     for row in robots_rows():
+        name = row["name"]
         if "error" in row:
-            rows.append((row["name"], "-", "-", "-", "-", "-", f"file is wrong: {row['error']}"))
+            rows.append((name, "-", "-", "-", "-"))
+            below.append(f"{name}: the file is wrong: {row['error']}")
             continue
-        ready = f"missing: {', '.join(row['missing'])}" if row["missing"] else "complete"
         protocol, count = str(row["protocol"] or _UNKNOWN), str(row["joints"])
-        seen = _AGAINST[row["evidence"]]
-        rows.append((row["name"], row["kind"], count, protocol, row["description"], seen, ready))
-    return "\n".join(aligned(rows, right=(2,), underlined=False))
+        rows.append((name, count, protocol, row["description"], _AGAINST[row["evidence"]]))
+        if row["missing"]:
+            below.append(f"to drive {name}, set {', '.join(row['missing'])}")
+    return "\n".join([*aligned(rows, right=(1,), underlined=False), "", *below])
 
 
 def robot_table(robot: Robot) -> str:
