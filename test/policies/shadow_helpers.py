@@ -17,7 +17,7 @@ from unicon_core.policies.shadow import ShadowedPolicy
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.report import Report
 from unicon_core.workflow import HookBlocks, Program, load_document
-from unicon_core.workflow.shadow import shadowed_in
+from unicon_core.workflow.policies import shadowed_in
 from unicon_lab.fault_record import FaultRecord
 
 ROOT = Path(__file__).resolve().parents[2]

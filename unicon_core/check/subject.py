@@ -26,8 +26,8 @@ from unicon_core.workflow import Hook, Program
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.hardware import can_wait
 from unicon_core.workflow.platforms import facts_of_all, find_platforms, platform_options
+from unicon_core.workflow.policies import shadowed_in
 from unicon_core.workflow.program_data import ProgramData
-from unicon_core.workflow.shadow import shadowed_in
 
 
 @dataclass

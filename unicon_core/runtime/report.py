@@ -15,8 +15,8 @@ from unicon_base import AnyDict
 from unicon_base.errors import Fault
 from unicon_core.page import write_file
 from unicon_core.runtime.statistics import TickStatistics, percentiles
+from unicon_core.workflow.policies import shadowed_in
 from unicon_core.workflow.program_data import ProgramData
-from unicon_core.workflow.shadow import shadowed_in
 
 
 @dataclass

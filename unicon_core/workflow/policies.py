@@ -1,31 +1,45 @@
-"""Policies of a workflow: loads the contracts and gives each mention of one its block."""
+"""Policies of a workflow: their contracts, their blocks, and shadows that tick beside them.
+
+    policies: {walk: go2_velocity}
+    shadow: {walk: ./newer}            # or {walk: {path: ./newer, blend: 0.3, bound: 0.4}}
+
+A shadow may replace its policy; its states begin with `shadow_walk_`. See
+`unicon_core/policies/shadow.py`.
+"""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from unicon_base import AnyDict, AnyMapping, ModelError, PolicyError, WorkflowError, alternatives
-from unicon_core.flow import Block
+from unicon_core.flow import Block, Stage
 from unicon_core.models.find import model_of, pick_model
 from unicon_core.policies import Policy, PolicyContract, load_policy, policy_states
 from unicon_core.policies.action_map import lacking_joints
 from unicon_core.policies.chunks import ChildSpec, RemoteSpec
-from unicon_core.policies.controller import ControllerContract, controller_contract, prefix_of
+from unicon_core.policies.controller import (
+    ControllerContract,
+    PrefixedStates,
+    controller_contract,
+    prefix_of,
+)
 from unicon_core.policies.perception import ImageTerm
 from unicon_core.policies.policy import DrivenPolicy
 from unicon_core.policies.policy_states import states_of
+from unicon_core.policies.shadow import PAIRED, ShadowedPolicy, disagreement
 from unicon_core.robots import Robot
-from unicon_core.states import States, StateSpec
+from unicon_core.states import States, StateSpec, standard_states
 from unicon_core.terrain.height_map import HEIGHT_MAP, Heights, MapHeights
 from unicon_core.terrain.words import FLAT, read_terrain
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.document import WorkflowDocument, read_part
-from unicon_core.workflow.file import PolicyEntry
+from unicon_core.workflow.file import PolicyEntry, ShadowEntry
 from unicon_core.workflow.platforms import facts_of_all, find_platforms
 from unicon_core.workflow.uses import Use
 
@@ -263,3 +277,108 @@ def policy_factory(use: Use, policies: AnyMapping) -> Callable[..., Any]:
 
     # Annotations are text here; the autowiring evaluates them in this module.
     return policy
+
+
+@dataclass(frozen=True)
+class Shadow:
+    """What stands beside a policy of a workflow.
+
+    Attributes:
+        of: name of that policy.
+        contract: of what stands beside it.
+        entry: what the workflow says.
+    """
+
+    of: str
+    contract: PolicyContract
+    entry: ShadowEntry
+
+    @property
+    def prefix(self) -> str:
+        """What the names of its states begin with."""
+        return f"shadow_{self.of}_"
+
+    def states(self, robot: Robot, extra: Mapping[str, StateSpec]) -> dict[str, StateSpec]:
+        """Return the states to declare.
+
+        Args:
+            robot: that moves.
+            extra: all other states of the workflow, which terms may name.
+        """
+        joints, prefix = robot.joint_names, self.prefix
+        standard = standard_states(joints)
+        number = partial(StateSpec, ())
+        said = "target minus the other policy's"
+        own = {
+            **{name: standard[name] for name in PAIRED},
+            "target_difference": StateSpec((len(joints),), "float32", "rad", "", joints, said),
+            "share": number(description="of its targets in the command"),
+            "time": number("float32", "s", description="of its last tick"),
+            "request": number("int32", description="1: swap"),
+        }
+        states = policy_states(self.contract, joints, extra, prefix=prefix)
+        return states | {prefix + name: spec for name, spec in own.items()}
+
+    def beside(self, policy: Policy, context: BuildContext) -> ShadowedPolicy:
+        """Return a policy with the one beside it, as one block."""
+        states, contract = context.states, self.contract
+        redirected = PrefixedStates(states, "", {name: self.prefix + name for name in PAIRED})
+        ground = ground_under(context, contract, states)
+        other = Policy(contract, redirected, context.robot, prefix=self.prefix, ground=ground)
+        names, every = (self.of, f"shadow_{self.of}"), round(contract.period / context.period)
+        return ShadowedPolicy(policy, other, states, names, self.entry, every, context.tell)
+
+
+def shadow_of(
+    document: WorkflowDocument,
+    robot: Robot,
+    policies: Mapping[str, PolicyContract],
+    uses: Iterable[Use],
+) -> Shadow | None:
+    """Return what a workflow says under `shadow:`, None where it says nothing.
+
+    Raises:
+        WorkflowError: more than one, no such policy, or one that cannot have a shadow.
+        PolicyError: its policy is missing, incomplete or contradictory.
+    """
+    listed = document.get("shadow", {})
+    if not listed:
+        return None
+
+    def wrong(text: str) -> WorkflowError:
+        return document.error(f"shadow: {text}", "shadow")
+
+    name = next(iter(listed))
+    if len(listed) > 1:
+        raise wrong(f"names {', '.join(listed)}; leave all but one out")
+    if name not in policies:
+        raise wrong(f"no policy {name!r} under 'policies:'; {alternatives(name, policies)}")
+    for key in ("num_robots", "parts"):
+        if document.values.get(key) is not None:
+            raise wrong(f"it is of one robot in one process; leave out {key}")
+    mentions = [u for u in uses if u.word == "policy" and used_policy(u, policies) == name]
+    if len(mentions) != 1 or mentions[0].of or mentions[0].options.keys() - {"policy", "use"}:
+        raise wrong(
+            f"policy {name!r} stands {len(mentions)} times in the flow; write it once, without "
+            "of, drives and sees_default_for"
+        )
+    contract, entry = load_entry(document, robot, ShadowEntry, "shadow", name)
+    if why := disagreement(policies[name], contract):
+        raise wrong(f"{why}; name another policy, or leave it out")
+    return Shadow(name, contract, entry)
+
+
+def shadowed_in(blocks: Iterable[Block]) -> ShadowedPolicy | None:
+    """Return the policy that has one beside it, None where there is none."""
+    return next((b.tick for b in blocks if isinstance(b.tick, ShadowedPolicy)), None)
+
+
+def shadow_blocks(blocks: Iterable[Block]) -> list[tuple[Stage, Block]]:
+    """Return what a shadow needs before and behind the flow, each with its stage."""
+    tick = shadowed_in(blocks)
+    if tick is None:
+        return []
+    heard = Block("swap request", tick.hear, writes=tick.heard, endless=True)
+    own = tuple(name for name in tick.writes if name not in PAIRED)
+    observed = Block("shadow", tick.observe, reads=PAIRED, amends=own, endless=True)
+    return [(Stage.RECV, heard), (Stage.OBSERVE, observed)]

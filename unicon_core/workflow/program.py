@@ -47,11 +47,16 @@ from unicon_core.workflow.live_twin import build_twin, twin_of
 from unicon_core.workflow.members import load_robot_of
 from unicon_core.workflow.parts import read_parts, read_store
 from unicon_core.workflow.platforms import build_platform, latches_of
-from unicon_core.workflow.policies import image_terms, load_policies, with_weldable
+from unicon_core.workflow.policies import (
+    image_terms,
+    load_policies,
+    shadow_blocks,
+    shadow_of,
+    with_weldable,
+)
 from unicon_core.workflow.program_data import Gate, ProgramData, withheld
 from unicon_core.workflow.safety_set import completed, left_out
 from unicon_core.workflow.settings import pacing_of, safety_of, start_of
-from unicon_core.workflow.shadow import shadow_blocks, shadow_of
 from unicon_core.workflow.tick_tree import bound_commands, tick_tree, with_flow
 from unicon_core.workflow.uses import EXPRESSION, Use
 

@@ -20,7 +20,7 @@ from unicon_core.states.standard import EXTERNAL_FORCE, EXTERNAL_PUSH
 from unicon_core.terrain.words import Terrain
 from unicon_core.workflow import Program
 from unicon_core.workflow.flow_yaml import skills_of
-from unicon_core.workflow.shadow import shadowed_in
+from unicon_core.workflow.policies import shadowed_in
 from unicon_lab.recording.ticks import Names, term_names
 from unicon_ros.parameter_table import AT_ONCE, RANGES
 from unicon_ros.peripheral import peripheral_states

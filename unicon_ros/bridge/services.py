@@ -18,7 +18,7 @@ from unicon_core.platforms.platform import Pausable
 from unicon_core.runtime import Runner
 from unicon_core.workflow import Program
 from unicon_core.workflow.flow_yaml import skills_of
-from unicon_core.workflow.shadow import shadowed_in
+from unicon_core.workflow.policies import shadowed_in
 from unicon_ros import compat
 
 Answer = tuple[bool, str]
