@@ -168,7 +168,7 @@ setup(
         "unicon.blocks": [
             "camera = unicon_ros.bridge.camera:camera",
             "elevation_map = unicon_ros.elevation_map:ElevationMap",
-            "grid_map = unicon_ros.grid_map:GridMap",
+            "grid_map = unicon_ros.elevation_map:GridMap",
             "headset_controls = unicon_manipulation.teleop.operator:HeadsetControls",
             "livox = unicon_hardware.peripherals.livox.livox:livox",
             "reach = unicon_manipulation.reach:Reach",

@@ -25,9 +25,8 @@ from unicon_base.resources import find_config
 from unicon_core.states import States, standard_states
 from unicon_msgs_map import Decoder, Encoder, PublishSpec, SubscribeSpec, load_map
 from unicon_ros import compat
-from unicon_ros.bench.domains import stay_on_loopback
 from unicon_ros.bench.pipelines.log import joint_names
-from unicon_ros.bench.report import Bench
+from unicon_ros.bench.report import Bench, stay_on_loopback
 from unicon_ros.bridge.topics import TopicIn, TopicOut
 
 JOINTS = 20

@@ -44,8 +44,7 @@ from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import load_workflow
 from unicon_lab.transfer.rollout import simulators
 from unicon_ros import compat
-from unicon_ros.bench.domains import loopback_environment
-from unicon_ros.bench.report import Bench
+from unicon_ros.bench.report import Bench, loopback_environment
 
 MANY = 64
 """Robots that are compared with one."""

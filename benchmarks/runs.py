@@ -48,8 +48,7 @@ from unicon_lab.recording.run_recording import Recording
 from unicon_lab.view import PORT
 from unicon_lab.view.view import View
 from unicon_ros import compat
-from unicon_ros.bench.domains import stay_on_loopback
-from unicon_ros.bench.report import Bench
+from unicon_ros.bench.report import Bench, stay_on_loopback
 
 RATE = 500.0  # Hz
 SECONDS = 10.0  # of each run

@@ -42,10 +42,9 @@ from unicon_core.signals import SIGNALS
 from unicon_core.states import States, StateSpec
 from unicon_core.states.backends.shm import Segment, ShmReader, ShmWriter, remove_dead
 from unicon_core.states.backends.zmq import ZmqReader, ZmqWriter
-from unicon_ros.bench.domains import loopback_environment
 from unicon_ros.bench.loops import Loop, Slice
 from unicon_ros.bench.pipelines.log import Log, Stop, arguments
-from unicon_ros.bench.report import Bench
+from unicon_ros.bench.report import Bench, loopback_environment
 from unicon_ros.bench.rounds import Rows, take_turns
 
 GROUP = "bench"

@@ -26,7 +26,7 @@ from unicon_base import AnyDict, AnyMapping, UniconError
 from unicon_base.resources import assets_root, find_config
 from unicon_core.robots import load_robot
 from unicon_core.workflow import load_document
-from unicon_ros.bench.domains import free_domain
+from unicon_ros.bench.report import free_domain
 
 TIMEOUT = 120.0
 """Longest run in [s]: an emulated robot on a busy machine takes its time."""

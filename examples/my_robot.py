@@ -7,8 +7,7 @@
 """
 
 from unicon_core.platforms.kit.base import Mounting
-from unicon_core.platforms.kit.command import Command
-from unicon_core.platforms.kit.damping import Damping, LastSent, repeated
+from unicon_core.platforms.kit.command import Command, Damping, LastSent, repeated
 from unicon_core.platforms.platform import Facts
 
 

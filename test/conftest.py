@@ -22,7 +22,7 @@ from turns import turn
 
 from unicon_base.errors import UniconError
 from unicon_base.resources import find_resource
-from unicon_ros.bench.domains import free_domain
+from unicon_ros.bench.report import free_domain
 
 ROOT = Path(__file__).resolve().parent.parent
 stolen = Stolen()

@@ -23,8 +23,7 @@ import numpy as np
 
 from unicon_base import AnyMapping, Fault, PlatformError, Silence
 from unicon_core.blocks.maps import projected_gravity
-from unicon_core.platforms.kit.command import FiniteCheck
-from unicon_core.platforms.kit.damping import DAMPING_TIME, Damping, LastSent, repeated
+from unicon_core.platforms.kit.command import DAMPING_TIME, Damping, FiniteCheck, LastSent, repeated
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.signals import SIGNALS

@@ -25,9 +25,9 @@ from unicon_base import TextSink, UniconError
 from unicon_base.resources import user_folder
 from unicon_core.runtime.tick_ring import FEWEST, TickRing
 from unicon_lab.recording import McapFile, recover
-from unicon_lab.recording.facts import content_of, facts_of
 from unicon_lab.recording.mcap_file import FileInUse
 from unicon_lab.recording.records import attachment, metadata
+from unicon_lab.recording.run_recording import content_of, facts_of
 from unicon_lab.recording.ticks import add_ticks, term_names, tick_channel, to_json
 from unicon_ros.attachments import Attachment
 

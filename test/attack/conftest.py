@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from unicon_ros.bench.domains import free_domain
+from unicon_ros.bench.report import free_domain
 
 
 @pytest.fixture

@@ -62,7 +62,7 @@ def test_the_log_of_ros_stops_no_commands(tmp_path: Path, full_pipe: int) -> Non
     rclpy = pytest.importorskip("rclpy")
     from lifecycle_msgs.srv import ChangeState
 
-    from unicon_ros.bench.domains import loopback_environment
+    from unicon_ros.bench.report import loopback_environment
 
     environment = loopback_environment()
     environment["PYTHONPATH"] = os.pathsep.join(map(str, (HERE, ROOT)))

@@ -9,12 +9,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from unicon_ros.bench import domains
+from unicon_ros.bench import report
 
 ASK = """\
 import random, sys
 random.SystemRandom.sample = lambda *_: [97, 98, *range(40, 90)]
-from unicon_ros.bench.domains import free_domain
+from unicon_ros.bench.report import free_domain
 print(free_domain(), flush=True)
 sys.stdin.read()
 """
@@ -23,8 +23,8 @@ sys.stdin.read()
 @pytest.fixture
 def other() -> Iterator[subprocess.Popen[str]]:
     """A process that has asked, and is in no domain yet."""
-    while domains._kept:  # of tests before this one
-        domains._kept.popitem()[1].close()
+    while report._kept:  # of tests before this one
+        report._kept.popitem()[1].close()
     command = [sys.executable, "-c", ASK]
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -41,4 +41,4 @@ def test_a_domain_is_given_to_one_process(
     taken = int(other.stdout.readline())
     wanted = [taken, *(d for d in range(90, 96) if d != taken)]
     monkeypatch.setattr(random.SystemRandom, "sample", lambda *_: wanted)
-    assert domains.free_domain() != taken
+    assert report.free_domain() != taken

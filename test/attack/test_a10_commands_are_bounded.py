@@ -224,7 +224,7 @@ def test_a_topic_is_bounded_and_told_by_name(
     ros_attack = pytest.importorskip("ros_attack")
     from geometry_msgs.msg import Twist
 
-    from unicon_ros.bench.domains import free_domain
+    from unicon_ros.bench.report import free_domain
 
     monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain()))
     path = tmp_path / "sway.yaml"

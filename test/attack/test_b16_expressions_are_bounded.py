@@ -9,7 +9,7 @@ from attack_files import BASE, one_line, run_bounded, workflow
 
 from unicon_base.errors import WorkflowError
 from unicon_core.states import States, standard_states
-from unicon_core.workflow.expression import expression
+from unicon_core.workflow.uses import expression
 
 STATES = States(standard_states(("a", "b")))
 

@@ -11,7 +11,7 @@ pytest.importorskip("rclpy")
 
 from unicon_base.errors import Fault
 from unicon_core.platforms.fake import FakePlatform
-from unicon_ros.bench.domains import free_domain
+from unicon_ros.bench.report import free_domain
 from unicon_ros.bridge import RosSession
 from unicon_ros.bridge.own_node import OwnNode
 from unicon_ros.bridge.topics import TopicIn

@@ -17,7 +17,7 @@ pytest.importorskip("rclpy")
 
 from their_clients import CLI, LAUNCH, ROOT, Clients, find_clients, make_prefix
 
-from unicon_ros.bench.domains import free_domain
+from unicon_ros.bench.report import free_domain
 
 sys.path.insert(0, str(ROOT / "test" / "attack"))  # the robot that writes commands down
 

@@ -8,7 +8,7 @@ from functools import partial
 from faults import mishaps
 from faults.cases_phases import ESTOP, PHASES, PROGRAM, TIME, VELOCITY
 from faults.simulated_case import SimulatedCase, set_to
-from unicon_core.workflow.safety_set import ROBOT_SAFETY
+from unicon_core.workflow.tick_tree import ROBOT_SAFETY
 
 _sensor = partial(SimulatedCase, "sensors")
 _hardware = partial(SimulatedCase, "hardware")

@@ -1,6 +1,6 @@
 """Judges a series of commands: does any of them exceed the damping command? For every fault case.
 
-What the damping command is says `unicon_core/platforms/kit/damping.py`; this is written from the
+What the damping command is says `unicon_core/platforms/kit/command.py`; this is written from the
 other side, by what a motor may get, and shares only the declared figures with it.
 """
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unicon_core.bounds import DAMPING, STIFFNESS
-from unicon_core.platforms.kit.damping import BLEND
+from unicon_core.platforms.kit.command import BLEND
 from unicon_core.robots import Robot
 
 TOLERANCE = 1e-3

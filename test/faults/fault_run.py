@@ -19,7 +19,7 @@ from faults.case import Case
 from faults.command_log import CLOSE, RECV, SEND, CommandLog
 from faults.simulated_case import ROBOTS
 from unicon_core.robots import Robot, load_robot
-from unicon_ros.bench.domains import loopback_environment
+from unicon_ros.bench.report import loopback_environment
 from unicon_ros.process_exit import die_with_parent
 
 PLATFORM = "faults.recording_platform:RecordingPlatform"

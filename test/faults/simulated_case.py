@@ -15,7 +15,7 @@ from faults.mishaps import Mishap
 from faults.simulated_platform import MODULE
 from unicon_base.errors import UniconError
 from unicon_base.resources import find_resource
-from unicon_core.workflow.safety_set import ROBOT_SAFETY
+from unicon_core.workflow.tick_tree import ROBOT_SAFETY
 
 Outcome = Literal["refuse", "go on", "zero command", "soft", "damp"]
 

@@ -16,7 +16,7 @@ from faults.damping_judge import Commands, beyond_damping
 from faults.simulated_case import SimulatedCase
 from faults.simulated_platform import LOGGED, FaultySimulator
 from unicon_base.errors import UniconError
-from unicon_core.platforms.kit.damping import DAMPING_TIME
+from unicon_core.platforms.kit.command import DAMPING_TIME
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program
 from unicon_lab.fault_record import FaultRecord

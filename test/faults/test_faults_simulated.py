@@ -14,7 +14,7 @@ from faults.case import TICKS
 from faults.damping_judge import Commands, beyond_damping
 from faults.simulated_case import SimulatedCase, able
 from faults.simulated_run import run_case
-from unicon_core.platforms.kit.damping import BLEND
+from unicon_core.platforms.kit.command import BLEND
 from unicon_core.robots import load_robot
 
 ROBOT = load_robot("go2")

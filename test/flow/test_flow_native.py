@@ -22,9 +22,9 @@ from unicon_core.blocks.forward_command import CommandStates, ForwardCommand
 from unicon_core.blocks.joint_command import Commands, JointCommand
 from unicon_core.blocks.maps import projected_gravity
 from unicon_core.blocks.postures import Damp, Hold, Pose
-from unicon_core.blocks.predicates import Commanded, Elapsed, Settled, tilted
 from unicon_core.blocks.safety import limits, stops
 from unicon_core.blocks.safety.servo_stops import TrackingStop
+from unicon_core.blocks.safety.stops import Commanded, Elapsed, Settled, tilted
 from unicon_core.blocks.safety.stuck import EncoderStop
 from unicon_core.blocks.velocity_command import Drive, VelocityCommand
 from unicon_core.flow import Block, CompiledGraph, Node, as_block, compile_graph
@@ -37,7 +37,7 @@ from unicon_core.robots import load_robot
 from unicon_core.states import States, StateSpec, standard_states
 from unicon_core.states.standard import COMMAND_STATES, forwarded_states
 from unicon_core.workflow.autowire import BuildContext
-from unicon_core.workflow.expression import expression
+from unicon_core.workflow.uses import expression
 
 pytestmark = pytest.mark.skipif(
     not any(map(shutil.which, COMPILERS)), reason="no C++ compiler (apt install g++)"

@@ -97,7 +97,7 @@ flow:
   zip:
     - call: "unicon_core.blocks.postures:Hold"
     - call: {function: "unicon_core.blocks.safety.stops:Finite", name: again}
-    - deferred: {call: {function: "unicon_core.blocks.predicates:tilted", angle: 1.0}}
+    - deferred: {call: {function: "unicon_core.blocks.safety.stops:tilted", angle: 1.0}}
 """
 
 WALK = """\

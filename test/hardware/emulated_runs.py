@@ -13,7 +13,7 @@ from typing import Any
 
 from peer import Peer
 
-from unicon_ros.bench.domains import free_domain
+from unicon_ros.bench.report import free_domain
 
 HERE = Path(__file__).resolve().parent
 UNICON = (sys.executable, "-m", "unicon_ros")

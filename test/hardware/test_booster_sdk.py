@@ -31,7 +31,7 @@ from unicon_hardware.booster.codec import BoosterFacts
 from unicon_hardware.booster.platform import BoosterWire
 from unicon_hardware.booster.takeover import face
 from unicon_hardware.dds.maps import command_arrays
-from unicon_ros.bench.domains import free_domain
+from unicon_ros.bench.report import free_domain
 
 # What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "vendor"

@@ -16,7 +16,7 @@ from emulated_runs import FIRST, ROOM, Emulated, ended, failed, looked
 from peer import Peer
 
 from unicon_core.platforms.child.platform import WATCHDOG
-from unicon_core.platforms.kit.damping import BLEND
+from unicon_core.platforms.kit.command import BLEND
 
 pytestmark = pytest.mark.timeout(300)
 

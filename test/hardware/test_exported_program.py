@@ -20,7 +20,7 @@ import pytest
 from emulated_runs import ROOM, EmulatedUnitree
 from peer import Peer
 
-from unicon_core.platforms.kit.damping import BLEND
+from unicon_core.platforms.kit.command import BLEND
 from unicon_core.states.backends.shm import remove_dead
 from unicon_ros.cli.main import main
 

@@ -23,7 +23,7 @@ from unicon_core.robots import load_robot
 from unicon_core.states import States, standard_states
 from unicon_core.workflow.registry import known
 from unicon_hardware.modes import UNDOCUMENTED, ModeGuard
-from unicon_ros.bench.domains import free_domain
+from unicon_ros.bench.report import free_domain
 
 PERIOD = 0.004
 JOINT = 5

@@ -12,7 +12,7 @@ from emulated_runs import Served
 from legged_peer import free_port
 from peer import Peer
 
-from unicon_ros.bench.domains import free_domain
+from unicon_ros.bench.report import free_domain
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(240), pytest.mark.usefixtures("assets")]
 

@@ -19,7 +19,7 @@ import pytest
 from emulated_runs import FIRST, ROOM, EmulatedUnitree, ended
 from peer import Peer
 
-from unicon_core.platforms.kit.damping import BLEND
+from unicon_core.platforms.kit.command import BLEND
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_ros[hw-unitree]'")
 pytest.importorskip("mujoco")

@@ -23,7 +23,7 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_ros[hw-unitree]'")
 
-from unicon_ros.bench.domains import free_domain
+from unicon_ros.bench.report import free_domain
 
 pytestmark = [pytest.mark.slow, pytest.mark.alone, pytest.mark.timeout(500)]
 

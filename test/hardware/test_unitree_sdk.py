@@ -28,7 +28,7 @@ from unicon_core.states.layout import StateSpec
 from unicon_core.states.standard import COMMAND_STATES, hardware_states
 from unicon_hardware.unitree.face import face
 from unicon_hardware.unitree.platform import UnitreeWire
-from unicon_ros.bench.domains import free_domain
+from unicon_ros.bench.report import free_domain
 
 # What these tests run against, the most that config/evidence.yaml may say by them.
 EVIDENCE = "vendor"

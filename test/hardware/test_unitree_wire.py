@@ -48,7 +48,7 @@ from unicon_msgs_map.codec.checksum import unitree_crc
 from unicon_msgs_map.layout.messages import shared_messages
 from unicon_msgs_map.layout.paths import Reference, parse_path
 from unicon_msgs_map.spec import FieldSpec
-from unicon_ros.bench.domains import free_domain
+from unicon_ros.bench.report import free_domain
 
 TELLS = ("joint_pos", "joint_vel", "joint_effort", "base_quat", "base_ang_vel", "base_lin_acc")
 TELLS += ("motor_temperature",)

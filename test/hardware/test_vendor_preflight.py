@@ -22,7 +22,7 @@ from unicon_core.robots import load_robot
 from unicon_hardware.emulate.body import Defects
 from unicon_hardware.unitree.face import face as unitree_face
 from unicon_hardware.unitree_legged.platform import face as legged_face
-from unicon_ros.bench.domains import free_domain
+from unicon_ros.bench.report import free_domain
 from unicon_ros.cli.main import main
 
 # A busy machine starves an emulated robot, whose frames are then fewer than they were to be.

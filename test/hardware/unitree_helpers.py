@@ -15,7 +15,7 @@ from unicon_hardware.dds.end import DdsEnd
 from unicon_hardware.dds.participant import Reader, Writer
 from unicon_hardware.unitree.face import UnitreeEndpoint, face
 from unicon_hardware.unitree.platform import UnitreeWire
-from unicon_ros.bench.domains import free_domain
+from unicon_ros.bench.report import free_domain
 
 # Of DDS: runs of the tests at the same time do not hear each other.
 DOMAIN = free_domain()

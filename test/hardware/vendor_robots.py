@@ -18,7 +18,7 @@ from stepping import stepping
 from unicon_core.robots import Robot
 from unicon_hardware.emulate.emulator import emulated
 from unicon_hardware.endpoint import Endpoint
-from unicon_ros.bench.domains import free_domain
+from unicon_ros.bench.report import free_domain
 
 __all__ = ["DRIVES", "UNSEEING", "completed", "serve", "stepped"]
 

@@ -25,7 +25,7 @@ from unicon_core.models.load import load_model
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import HookBlocks, Program, load_workflow
-from unicon_ros.bench.domains import free_domain
+from unicon_ros.bench.report import free_domain
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 

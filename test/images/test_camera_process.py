@@ -22,7 +22,7 @@ from unicon_core.flow import Block, Stage
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.states.backends.shm import segments
 from unicon_core.workflow import HookBlocks, Program, load_workflow
-from unicon_ros.bench.domains import free_domain
+from unicon_ros.bench.report import free_domain
 from unicon_ros.bridge.camera import Camera
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120), pytest.mark.usefixtures("gl")]

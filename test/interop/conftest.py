@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from talkers import clean_environment
 
-from unicon_ros.bench.domains import free_domain
+from unicon_ros.bench.report import free_domain
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tools" / "lib"))

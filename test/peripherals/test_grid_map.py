@@ -19,11 +19,11 @@ from unicon_core.workflow.autowire import BuildContext
 from unicon_msgs_map.layout.messages import shared_messages
 from unicon_msgs_map.spec import Qos, SubscribeSpec
 from unicon_ros import compat
-from unicon_ros import grid_map as module
-from unicon_ros.bench.domains import free_domain
+from unicon_ros import elevation_map as module
+from unicon_ros.bench.report import free_domain
 from unicon_ros.bridge.own_node import OwnNode
 from unicon_ros.bridge.qos import LATCHED, qos_profile
-from unicon_ros.grid_map import GRID_MAP, GridMap, GridMapDecoder
+from unicon_ros.elevation_map import GRID_MAP, GridMap, GridMapDecoder
 
 SPEC = SubscribeSpec("heights", GRID_MAP, (), shared_messages())
 NOW = 1_000_000_000_000

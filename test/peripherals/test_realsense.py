@@ -252,7 +252,7 @@ def test_a_default_subscriber_hears_both_topics(
     rigs: Callable[..., Rig], plug: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("rclpy")
-    from unicon_ros.bench.domains import free_domain
+    from unicon_ros.bench.report import free_domain
 
     monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain()))
     environment = dict(os.environ)

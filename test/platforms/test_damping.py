@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from unicon_core.platforms.kit.damping import BLEND, Damping, LastSent, repeated
+from unicon_core.platforms.kit.command import BLEND, Damping, LastSent, repeated
 from unicon_core.robots import load_robot, robot_names
 from unicon_core.states import Layout, States, standard_states
 from unicon_core.states.standard import COMMAND_STATES

@@ -13,7 +13,7 @@ import yaml
 from motion_helpers import JOINTS, POLICY, model_in, motion, waisted, write_tracker
 
 from unicon_core.policies import Policy, load_policy, policy_states
-from unicon_core.policies.motion.spec import AXES
+from unicon_core.policies.hints import AXES
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States, standard_states
 from unicon_core.workflow import load_workflow

@@ -27,7 +27,7 @@ from unicon_core.workflow import HookBlocks, Program, load_workflow
 from unicon_lab import fault_record
 from unicon_lab.fault_record import KEPT, FaultRecord, fault_folder
 from unicon_lab.recording import McapFile, mcap_file, open_record
-from unicon_lab.recording.facts import network_hash
+from unicon_lab.recording.run_recording import network_hash
 from unicon_lab.recording.ticks import from_json
 from unicon_ros.cli.main import main
 

@@ -17,7 +17,7 @@ from peer import Peer
 from ros_helpers import REACT, SWAY, Run
 
 from unicon_core.robots import load_robot
-from unicon_ros.bench.domains import free_domain
+from unicon_ros.bench.report import free_domain
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent

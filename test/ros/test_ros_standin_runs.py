@@ -18,7 +18,7 @@ from standin_runs import FIRST, SILENCE, Driven, begun, drive, ended, said, seen
 
 from unicon_core.gates.build import beginning
 from unicon_core.platforms.child.platform import WATCHDOG
-from unicon_core.platforms.kit.damping import DAMPING_TIME
+from unicon_core.platforms.kit.command import DAMPING_TIME
 from unicon_core.workflow import load_workflow
 from unicon_hardware.emulate.emulator import SILENCE as UNHEARD
 

@@ -14,7 +14,7 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("psutil")
 
-from unicon_ros.bench.domains import free_domains
+from unicon_ros.bench.report import free_domains
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent

@@ -15,7 +15,7 @@ from unicon_base.errors import Fault, UniconError
 from unicon_core import Block, Program, Stage, Writes, block, policy, pose
 from unicon_core.flow import Tick
 from unicon_core.platforms.fake import FakeRobot, make_robot
-from unicon_core.platforms.kit.damping import BLEND, DAMPING_TIME
+from unicon_core.platforms.kit.command import BLEND, DAMPING_TIME
 from unicon_core.robots import Robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.phases import Phase, describe

@@ -12,7 +12,7 @@ import pytest
 
 from unicon_base.errors import Fault
 from unicon_core.flow import Block, Stage
-from unicon_core.platforms.kit.damping import DAMPING_TIME
+from unicon_core.platforms.kit.command import DAMPING_TIME
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.signals import SIGNALS
 from unicon_core.workflow import HookBlocks, Program, load_workflow

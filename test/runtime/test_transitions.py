@@ -16,7 +16,7 @@ from unicon_core.blocks.approach import Approach, Entry, Target
 from unicon_core.gates.build import first_command
 from unicon_core.pacing import WallClock
 from unicon_core.platforms.child.platform import SILENCE, WATCHDOG
-from unicon_core.platforms.kit.damping import BLEND, DAMPING_TIME, Damping, LastSent
+from unicon_core.platforms.kit.command import BLEND, DAMPING_TIME, Damping, LastSent
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.phases import WIND_DOWN

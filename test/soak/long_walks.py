@@ -22,7 +22,7 @@ import numpy as np
 from unicon_core.blocks import BUILTIN
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.workflow import Program, load_workflow
-from unicon_core.workflow.safety_set import ROBOT_SAFETY, TELLS
+from unicon_core.workflow.tick_tree import ROBOT_SAFETY, TELLS
 
 PIECE = 600.0
 """In [s]: a program is built anew after it, with other seeds."""

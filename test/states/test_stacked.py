@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from unicon_core.states import States, StateSpec
-from unicon_core.states.stacked import flat, stacked
+from unicon_core.states.states import flat, stacked
 
 
 def make(num_robots: int | None, *dtypes: str) -> list[np.ndarray]:

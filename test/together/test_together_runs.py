@@ -19,7 +19,7 @@ from unicon_core.runtime import Runner, RunOptions
 from unicon_core.runtime.phases import describe
 from unicon_core.states.backends.shm import segments
 from unicon_core.workflow import load_workflow
-from unicon_ros.bench.domains import free_domains
+from unicon_ros.bench.report import free_domains
 
 pytestmark = pytest.mark.usefixtures("short_damping")
 

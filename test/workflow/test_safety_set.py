@@ -20,7 +20,7 @@ from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States
 from unicon_core.states.standard import BASE_STATES, JOINT_STATES
 from unicon_core.workflow import Program, load_workflow
-from unicon_core.workflow.safety_set import ROBOT_SAFETY, TELLS
+from unicon_core.workflow.tick_tree import ROBOT_SAFETY, TELLS
 from unicon_ros.cli.main import main
 
 pytestmark = pytest.mark.usefixtures("short_damping")

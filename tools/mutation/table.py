@@ -201,7 +201,7 @@ ROWS = [
         ("command_stop", ")] = 2.0", ")] = 10.0"),
     ),
     *_rows(
-        "states/stacked.py",
+        "states/states.py",
         (*BLOCKS, "test/workflow/test_safety_set.py"),
         ("Screen.__call__", "True"),
     ),
@@ -332,7 +332,7 @@ ROWS = [
         ("_bounds_of", "allow_pickle=False", "allow_pickle=True"),
     ),
     *_rows(
-        "workflow/safety_set.py",
+        "workflow/tick_tree.py",
         SETS,
         *(
             ("", f'    "{name}",\n', "")
@@ -526,7 +526,7 @@ ROWS = [
         ("_tried", "return None", "pass"),
     ),
     *_rows(
-        "platforms/kit/damping.py",
+        "platforms/kit/command.py",
         DAMPING,
         ("", "BLEND = 0.3", "BLEND = 3.0"),
         ("", "DAMPING_TIME = 0.5", "DAMPING_TIME = 0.05"),
@@ -652,7 +652,7 @@ ROWS = [
         ),
     ),
     *_rows(
-        "blocks/whole_body/gravity.py",
+        "blocks/whole_body/frames.py",
         CARRIED,
         ("Gravity.__call__", "self.torque[:] = asked", "pass"),
         ("Gravity.__call__", "if math.isfinite(float(asked.sum())):", "if True:"),

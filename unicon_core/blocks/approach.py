@@ -15,10 +15,10 @@ from unicon_base.arrays import Float32
 from unicon_core.blocks.joint_command import Counting, ticks_of
 from unicon_core.bounds import Seconds
 from unicon_core.flow.block import Amends, Stage
-from unicon_core.platforms.kit.damping import LastSent
+from unicon_core.platforms.kit.command import LastSent
 from unicon_core.states import States
-from unicon_core.states.stacked import flat
 from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.states.states import flat
 from unicon_core.workflow.autowire import BuildContext
 
 

@@ -19,7 +19,7 @@ from unicon_base.generated import define
 from unicon_core.flow.block import FIXED, Block, LinearMap, Tick
 from unicon_core.flow.nodes import Node, Zip, children_of, with_children
 from unicon_core.states import States
-from unicon_core.states.stacked import Range, Screen, places
+from unicon_core.states.states import Range, Screen, places
 
 MAX_COPIES = 4
 """Up to so many separate slice copies (80 ns each) one gather and scatter (750 ns) loses."""

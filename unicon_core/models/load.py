@@ -18,9 +18,8 @@ import numpy as np
 from unicon_base import ModelError, RobotError, one_line
 from unicon_base.arrays import Array, Float64
 from unicon_core.models.absent import drop_absent_meshes, drop_absent_textures, repaired_urdf
-from unicon_core.models.attach import attach_members
 from unicon_core.models.bounded import refuse_endless, refuse_not_finite
-from unicon_core.models.find import pick_model
+from unicon_core.models.find import attach_members, pick_model
 from unicon_core.models.loaded import LoadedModel, drives, find_joints, import_mujoco, simple_joints
 from unicon_core.robots import Robot, joint_index
 

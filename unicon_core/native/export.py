@@ -34,7 +34,7 @@ from unicon_core.native.operands import PRELUDE
 from unicon_core.native.pieces import Piece
 from unicon_core.native.stretches import STEPS, Stretches
 from unicon_core.native.tick import clean
-from unicon_core.platforms.kit.damping import BLEND
+from unicon_core.platforms.kit.command import BLEND
 from unicon_core.states import States
 from unicon_core.states.c_header import c_struct, field_names
 from unicon_core.states.groups import Copies, subset

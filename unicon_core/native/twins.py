@@ -303,9 +303,9 @@ TWINS: dict[tuple[str, ...], Twin] = {
         "blocks.forward_command:ForwardCommand._head_home",
         "blocks.forward_command:ForwardCommand._feed_forward",
     ): _forward_command,
-    ("blocks.predicates:Elapsed.__call__",): "$_tick += 1; DONE($_tick >= $_ticks);",
-    ("blocks.predicates:tilted.<locals>.is_tilted",): "DONE(!((double)$most[0] <= $bound));",
-    ("blocks.predicates:Commanded.__call__",): """
+    ("blocks.safety.stops:Elapsed.__call__",): "$_tick += 1; DONE($_tick >= $_ticks);",
+    ("blocks.safety.stops:tilted.<locals>.is_tilted",): "DONE(!((double)$most[0] <= $bound));",
+    ("blocks.safety.stops:Commanded.__call__",): """
     double most = magnitude((double)$_command[0]);
     for (int64_t i = 1; i < #_command; ++i) {
       double x = magnitude((double)$_command[i]);
@@ -315,7 +315,7 @@ TWINS: dict[tuple[str, ...], Twin] = {
     $_left = larger($_left - 1, INT64_C(0));
     DONE($_left > 0);
     """,
-    ("blocks.predicates:Settled.__call__",): """
+    ("blocks.safety.stops:Settled.__call__",): """
     float most = 0.0f;
     each(#_vel) { $_speed[i] = magnitude($_vel[i]); most = greater(most, $_speed[i]); }
     $_slow = most <= (float)$_bound ? $_slow + 1 : 0;

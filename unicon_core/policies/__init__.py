@@ -8,8 +8,8 @@ from unicon_core.policies.contract import (
     PolicyContract,
     Recurrent,
 )
+from unicon_core.policies.hints import MotionSpec
 from unicon_core.policies.load import ImportReport, import_policy, load_policy, policy_names
-from unicon_core.policies.motion.spec import MotionSpec
 from unicon_core.policies.observation import Observation
 from unicon_core.policies.phase import GaitPhase
 from unicon_core.policies.policy import Policy

@@ -32,6 +32,7 @@ from unicon_core.policies.hints import (
     ClockRate,
     ClockShift,
     Feeds,
+    MotionSpec,
     Offsets,
     Period,
     Places,
@@ -46,7 +47,6 @@ from unicon_core.policies.hints import (
     rounded,
     rounded_one,
 )
-from unicon_core.policies.motion.spec import MotionSpec
 from unicon_core.policies.perception import HeightScanSpec, Images
 
 ActionKind: TypeAlias = Literal["position", "velocity", "torque"]

@@ -14,7 +14,7 @@ from typing import Any
 from unicon_base import AnyDict, PolicyError
 from unicon_base.located_yaml import Where
 from unicon_base.resources import file_beside, find_resource
-from unicon_core.policies.motion.spec import MotionSpec
+from unicon_core.policies.hints import MotionSpec
 
 # Name of a term on the training side -> where its values come from. A plain `joint_pos` is relative
 # as a term of BeyondMimic, mjlab and holosoma, and absolute as a function of Isaac Lab and Unitree.

@@ -26,8 +26,8 @@ from unicon_core.policies.phase import RPY, GaitPhase, RollPitchYaw, derived_sta
 from unicon_core.policies.policy_states import fed_back, own_states, reads_writes
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_core.states.stacked import spans
 from unicon_core.states.standard import COMMAND_STATES
+from unicon_core.states.states import spans
 from unicon_core.terrain.height_map import Heights
 
 _TARGETS = ("joint_pos_target", "joint_stiffness", "joint_damping")

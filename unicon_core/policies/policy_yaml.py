@@ -19,8 +19,7 @@ from unicon_core.file_kinds import other_kind
 from unicon_core.policies.contract import ObservationTerm, PolicyContract, PolicyFacts
 from unicon_core.policies.facts import TO_GIVE, Facts
 from unicon_core.policies.file import read_facts
-from unicon_core.policies.hints import Feed
-from unicon_core.policies.motion.spec import MotionSpec
+from unicon_core.policies.hints import Feed, MotionSpec
 from unicon_core.policies.networks.onnx_file import read_onnx
 from unicon_core.policies.perception import HeightScanSpec, ImageSpec
 

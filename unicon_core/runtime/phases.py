@@ -21,7 +21,7 @@ from unicon_base.errors import Fault, PlatformError, UniconError, alternatives
 from unicon_core.flow import CompiledGraph, Stage, Tick, Zip, as_block, compile_graph
 from unicon_core.flow.nodes import never_done
 from unicon_core.pacing import WallClock
-from unicon_core.platforms.kit.damping import BLEND, DAMPING_TIME, Damping
+from unicon_core.platforms.kit.command import BLEND, DAMPING_TIME, Damping
 from unicon_core.platforms.platform import CountsArrivals, WaitsForData
 from unicon_core.runtime.statistics import TickStatistics
 from unicon_core.signals import Interrupted

@@ -29,7 +29,7 @@ from unicon_base.schema.records import described, option_hints, option_type, typ
 from unicon_base.schema.types import Mistakes, Type
 from unicon_core.flow.block import Block, Bundle, Stage, as_block
 from unicon_core.models.find import model_of
-from unicon_core.platforms.kit.damping import LastSent
+from unicon_core.platforms.kit.command import LastSent
 from unicon_core.platforms.platform import Platform
 from unicon_core.robots import Robot
 from unicon_core.states import States

@@ -38,11 +38,10 @@ from unicon_core.states import StateSpec
 from unicon_core.states.standard import control_states
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.document import WorkflowDocument, read_part
-from unicon_core.workflow.expression import EntryCondition
 from unicon_core.workflow.file import FlowType
 from unicon_core.workflow.program_data import ProgramData
 from unicon_core.workflow.registry import known
-from unicon_core.workflow.uses import EXPRESSION, Use, of, on
+from unicon_core.workflow.uses import EXPRESSION, EntryCondition, Use, of, on
 
 BLEND = 0.5
 """Time in which a skill comes in, unless it says another, in [s]."""

@@ -19,7 +19,7 @@ from unicon_core.flow import Block, Node, as_block, blocks_of
 from unicon_core.flow.block import Stage
 from unicon_core.gates.build import gates_of
 from unicon_core.platforms.joined import PartPlatform
-from unicon_core.platforms.kit.damping import LastSent
+from unicon_core.platforms.kit.command import LastSent
 from unicon_core.platforms.platform import Platform, RequiresStates, WarmsUp
 from unicon_core.policies import PolicyContract
 from unicon_core.signals import SIGNALS
@@ -42,7 +42,14 @@ from unicon_core.workflow.division import (
     publishers,
     refuse_parts,
 )
-from unicon_core.workflow.document import WorkflowDocument, document_of, load_document
+from unicon_core.workflow.document import (
+    WorkflowDocument,
+    document_of,
+    load_document,
+    pacing_of,
+    safety_of,
+    start_of,
+)
 from unicon_core.workflow.live_twin import build_twin, twin_of
 from unicon_core.workflow.members import load_robot_of
 from unicon_core.workflow.parts import read_parts, read_store
@@ -55,9 +62,7 @@ from unicon_core.workflow.policies import (
     with_weldable,
 )
 from unicon_core.workflow.program_data import Gate, ProgramData, withheld
-from unicon_core.workflow.safety_set import completed, left_out
-from unicon_core.workflow.settings import pacing_of, safety_of, start_of
-from unicon_core.workflow.tick_tree import bound_commands, tick_tree, with_flow
+from unicon_core.workflow.tick_tree import bound_commands, completed, left_out, tick_tree, with_flow
 from unicon_core.workflow.uses import EXPRESSION, Use
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from unicon_core.flow.block import Stage
 from unicon_core.gates.gate import StartGate
 from unicon_core.latches import Latch
 from unicon_core.pacing import Pacing
-from unicon_core.platforms.kit.damping import LastSent
+from unicon_core.platforms.kit.command import LastSent
 from unicon_core.platforms.platform import Platform
 from unicon_core.policies import PolicyContract
 from unicon_core.robots import Robot
@@ -28,9 +28,8 @@ from unicon_core.states.links import Store
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.autowire import BuildContext
 from unicon_core.workflow.command_bounds import CommandBound
-from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow.document import StartSettings, WorkflowDocument
 from unicon_core.workflow.parts import Parts
-from unicon_core.workflow.settings import StartSettings
 
 NEVER_NS = 1 << 62
 CLOSED = "the workflow is closed and sends nothing any more; build it anew"

@@ -23,15 +23,13 @@ import numpy as np
 from unicon_base import AnyMapping, Fault, PlatformError, RobotError, TextSink, UniconError
 from unicon_base.resources import find_config
 from unicon_core.pacing import Pacing, WallClock, prepare_process
-from unicon_core.platforms.kit.command import FiniteCheck
-from unicon_core.platforms.kit.damping import LastSent
+from unicon_core.platforms.kit.command import FiniteCheck, LastSent
 from unicon_core.robots import Robot, robot_names
 from unicon_core.states import States, standard_states
 from unicon_core.states.standard import COMMAND_STATES, hardware_states
 from unicon_core.workflow.autowire import read_options
 from unicon_core.workflow.hardware import refuse_incomplete
-from unicon_hardware.emulate.body import Body, Defects, body_of
-from unicon_hardware.emulate.command_log import CommandLog, Say, say
+from unicon_hardware.emulate.body import Body, CommandLog, Defects, Say, body_of, say
 from unicon_hardware.endpoint import Endpoint
 
 SILENCE = 0.5

@@ -21,8 +21,8 @@ from unicon_core.platforms.kit.base import Mounting
 from unicon_core.platforms.platform import Binding, Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_core.states.stacked import spans
 from unicon_core.states.standard import CONTROL_STATES, HARDWARE_STATES, JOINT_STATES
+from unicon_core.states.states import spans
 from unicon_hardware.dds.end import DdsWire
 from unicon_hardware.dds.maps import arrays_of, offset_of
 from unicon_hardware.modes import SETTLES

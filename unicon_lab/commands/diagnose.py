@@ -145,7 +145,7 @@ def _row(number: int, cause: Cause) -> tuple[str, ...]:
 
 def _excite(arguments: argparse.Namespace) -> int:
     """Write the workflow, and print its first lines, which say how to run it; exit status 0."""
-    from unicon_lab.diagnose.experiment import experiment_text
+    from unicon_lab.diagnose.diagnosis import experiment_text
 
     out = Path(arguments.out)
     if out.suffix != ".yaml":

@@ -33,7 +33,7 @@ from unicon_core.runtime.statistics import percentiles
 from unicon_core.workflow.registry import known
 from unicon_lab.fault_record import fault_folder
 from unicon_lab.recording import Record, open_record
-from unicon_lab.recording.facts import VERSIONS
+from unicon_lab.recording.run_recording import VERSIONS
 from unicon_lab.recording.scan import scan
 from unicon_lab.replay.workflow import recorded_values
 from unicon_lab.transfer.rollout import OURS

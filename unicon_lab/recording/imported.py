@@ -24,10 +24,10 @@ from unicon_core.runtime.phases import Phase
 from unicon_core.runtime.tick_ring import HEAD, PHASES
 from unicon_core.states import Layout, States
 from unicon_core.states.standard import COMMAND_STATES, hardware_states, standard_states
-from unicon_lab.recording.facts import robot_facts, versions_here
 from unicon_lab.recording.mcap_file import McapFile
 from unicon_lab.recording.read import LONGEST, SHORTEST
 from unicon_lab.recording.records import metadata
+from unicon_lab.recording.run_recording import robot_facts, versions_here
 from unicon_lab.recording.ticks import (
     RecordedSubset,
     add_ticks,

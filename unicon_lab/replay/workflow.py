@@ -15,7 +15,7 @@ from unicon_core.states.standard import GAIN_SCALE, GAIN_SCALE_SPEC, HARDWARE_ST
 from unicon_core.workflow import Program, WorkflowDocument, load_document
 from unicon_core.workflow.document import document_at
 from unicon_lab.recording import Record
-from unicon_lab.recording.facts import network_hash, robot_facts, versions_here
+from unicon_lab.recording.run_recording import network_hash, robot_facts, versions_here
 
 
 def workflow_of(

@@ -14,7 +14,7 @@ from unicon_core import __version__
 from unicon_core.drawing import drawings
 from unicon_core.page import findings, number, page, pairs, place, table, write_file
 from unicon_core.runtime.phases import describe
-from unicon_lab.recording.facts import facts_of
+from unicon_lab.recording.run_recording import facts_of
 from unicon_lab.report.pictures import PICTURES, beyond, write_overview
 from unicon_lab.report.run_samples import Keeper
 from unicon_ros.attachments import File

@@ -28,7 +28,7 @@ from unicon_core.states import States
 from unicon_core.workflow import Program
 from unicon_core.workflow.document import WorkflowDocument
 from unicon_lab.analysis.run import Run, read_run
-from unicon_lab.recording.facts import network_hash, robot_text
+from unicon_lab.recording.run_recording import network_hash, robot_text
 from unicon_lab.sweep.figures import FallLook, Figures, Keeper, empty_row, reference_for
 from unicon_lab.sweep.plan import document_with, refuse_robot
 from unicon_lab.sweep.pool import Line

@@ -33,7 +33,7 @@ from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.hardware import declared_facts
 from unicon_core.workflow.members import read_platforms
 from unicon_core.workflow.registry import find_factory, known
-from unicon_lab.recording.facts import versions_here
+from unicon_lab.recording.run_recording import versions_here
 from unicon_lab.sweep.figures import columns_of, finite_rows
 from unicon_lab.sweep.plan import Row, one_robots_seed
 from unicon_lab.sweep.pool import LOOK, PipedProcess

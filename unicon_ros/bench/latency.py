@@ -28,10 +28,9 @@ from pathlib import Path
 from unicon_base import UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros import compat
-from unicon_ros.bench.domains import free_domain, loopback_environment
 from unicon_ros.bench.loops import LEASE, SETTLE, Loop
 from unicon_ros.bench.pipelines.budget import measure_budget
-from unicon_ros.bench.report import Bench
+from unicon_ros.bench.report import Bench, free_domain, loopback_environment
 from unicon_ros.bench.rounds import (
     Claim,
     Pooled,

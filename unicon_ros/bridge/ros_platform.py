@@ -36,8 +36,14 @@ from unicon_base import (
 )
 from unicon_base.resources import find_config
 from unicon_core.blocks.maps import projected_gravity
-from unicon_core.platforms.kit.command import FiniteCheck, Servo
-from unicon_core.platforms.kit.damping import DAMPING_TIME, Damping, LastSent, repeated
+from unicon_core.platforms.kit.command import (
+    DAMPING_TIME,
+    Damping,
+    FiniteCheck,
+    LastSent,
+    Servo,
+    repeated,
+)
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.signals import SIGNALS

@@ -17,7 +17,7 @@ from unicon_base.schema.marks import Within
 from unicon_core.bounds import POSITION, SHARE, MaxRate, Scale
 from unicon_core.flow.block import Amends, Bundle, Reads, Stage
 from unicon_core.robots import Robot
-from unicon_core.states.stacked import Range
+from unicon_core.states.states import Range
 
 ROUNDING = np.float32(1.0001)
 """A target that `rate_limit` has held back is not beyond the same limit."""

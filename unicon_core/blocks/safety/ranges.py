@@ -24,8 +24,8 @@ from unicon_core.bounds import DAMPING, EFFORT, POSITION, STIFFNESS, VELOCITY
 from unicon_core.flow.block import Reads, Stage
 from unicon_core.robots import Robot
 from unicon_core.states import States
-from unicon_core.states.stacked import Range, Screen
 from unicon_core.states.standard import COMMAND_STATES, HARDWARE_STATES
+from unicon_core.states.states import Range, Screen
 from unicon_core.workflow.autowire import BuildContext
 
 ANGULAR_VELOCITY = 70.0

@@ -24,7 +24,7 @@ from unicon_core.models.frames import Floats, multiply, plus, rotate, towards, t
 from unicon_core.models.kinematic_tree import BASE, frame_of, read_tree
 from unicon_core.models.load import load_model
 from unicon_core.policies.contract import PolicyContract
-from unicon_core.policies.motion.spec import AXES, MotionSpec
+from unicon_core.policies.hints import AXES, MotionSpec
 from unicon_core.robots import Robot
 
 MOST_BYTES = 1 << 30

@@ -31,11 +31,10 @@ from unicon_core.signals import SIGNALS
 from unicon_core.workflow import HookBlocks, Program
 from unicon_core.workflow.document import load_document
 from unicon_ros.attachments import Asked, attached
-from unicon_ros.bench.domains import loopback_environment
 from unicon_ros.bench.loops import Loop, Slice
 from unicon_ros.bench.pipelines.log import MIRROR, Log, arguments
 from unicon_ros.bench.pipelines.unicon import joint_states_entry, write_bridged
-from unicon_ros.bench.report import Bench
+from unicon_ros.bench.report import Bench, loopback_environment
 from unicon_ros.bridge import RosSession
 
 COLUMNS = (
