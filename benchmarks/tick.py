@@ -16,10 +16,7 @@ from collections.abc import Callable
 from typing import Any
 
 from benchmarks.samples import Samples, Step
-from unicon_core.flow import Block, Node, Zip, compile_graph
-from unicon_core.flow.block import LinearMap
-from unicon_core.flow.compiled import CompiledGraph
-from unicon_core.flow.fuse import fuse
+from unicon_core.flow import Block, CompiledGraph, LinearMap, Node, Zip, compile_graph, fuse
 from unicon_core.native.tick import NativeTick
 from unicon_core.runtime import TickStatistics
 from unicon_core.runtime.statistics import EVERY, LEARN, Detail

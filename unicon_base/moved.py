@@ -36,6 +36,7 @@ MOVED = {
     "unicon_core.outlet": "unicon_core.non_blocking_writer",
     "unicon_core.platforms.sim": "unicon_sims",
     "unicon_core.platforms.sim.mujoco": "unicon_core.platforms.mujoco",
+    "unicon_core.platforms.kit.damping": "unicon_core.platforms.kit.command",
     "unicon_core.policies.driven": "unicon_core.policies.policy",
     "unicon_core.registered": "unicon_base.packages",
     "unicon_core.together": "unicon_core.synchronised_start",

@@ -24,8 +24,7 @@ from unicon_core.flow import Block, Stage
 from unicon_core.handles import FrameRing
 from unicon_core.platforms.child.pipe import Pipe
 from unicon_core.states import Layout, States, StateSpec
-from unicon_core.states.backends.shm import ShmWatcher
-from unicon_core.states.backends.shm.files import remove_dead
+from unicon_core.states.backends.shm import ShmWatcher, remove_dead
 from unicon_core.states.groups import Copies, subset
 from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.peripheral_process import GROUP, START, handle_state

@@ -50,8 +50,7 @@ from unicon_core.platforms.platform import Facts
 from unicon_core.policies.networks.onnx_file import read_onnx
 from unicon_core.robots import Robot, robot_files
 from unicon_core.terrain.words import FLAT, read_terrain
-from unicon_core.workflow import Hook
-from unicon_core.workflow.document import WorkflowDocument, load_document
+from unicon_core.workflow import Hook, WorkflowDocument, load_document
 
 if TYPE_CHECKING:
     from unicon_core.workflow import Program

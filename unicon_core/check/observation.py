@@ -12,10 +12,9 @@ from unicon_core.check.result import CheckResult, PolicyResult
 from unicon_core.check.subject import Subject
 from unicon_core.platforms.kit.base import rotation
 from unicon_core.platforms.platform import info_of
-from unicon_core.policies import PolicyContract, TermSlice, term_slices
+from unicon_core.policies import PolicyContract, TermSlice, observation_rows, term_slices
 from unicon_core.policies.hints import Feed
 from unicon_core.policies.networks.onnx_file import read_onnx
-from unicon_core.policies.table import observation_rows
 from unicon_core.states.standard import ESTIMATORS
 from unicon_core.text_table import figure, span
 

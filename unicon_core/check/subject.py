@@ -22,8 +22,7 @@ from unicon_core.policies.controller import (
     prefix_of,
 )
 from unicon_core.robots import Robot
-from unicon_core.workflow import Hook, Program
-from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow import Hook, Program, WorkflowDocument
 from unicon_core.workflow.hardware import can_wait
 from unicon_core.workflow.platforms import facts_of_all, find_platforms, platform_options
 from unicon_core.workflow.policies import shadowed_in

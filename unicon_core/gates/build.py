@@ -12,8 +12,7 @@ from unicon_core.blocks.safety.ranges import RangeStop
 from unicon_core.blocks.safety.stops import TiltStop
 from unicon_core.blocks.safety.stuck import ImuStop
 from unicon_core.bounds import POSITION
-from unicon_core.flow import Block, Node, Switch, Zip, blocks_of, children_of, compile_graph
-from unicon_core.flow.block import Stage
+from unicon_core.flow import Block, Node, Stage, Switch, Zip, blocks_of, children_of, compile_graph
 from unicon_core.flow.nodes import chooser_of
 from unicon_core.gates.data import Changing, Imu, Rate, Told
 from unicon_core.gates.gate import Heeding, NoCommand, Passing, SoleCommander, StartGate, Variant

@@ -35,13 +35,11 @@ from unicon_core.native.pieces import Piece
 from unicon_core.native.stretches import STEPS, Stretches
 from unicon_core.native.tick import clean
 from unicon_core.platforms.kit.command import BLEND
-from unicon_core.states import States
+from unicon_core.states import Layout, States
 from unicon_core.states.c_header import c_struct, field_names
 from unicon_core.states.groups import Copies, subset
-from unicon_core.states.layout import Layout
 from unicon_core.states.standard import COMMAND_STATES
-from unicon_core.workflow import Program
-from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow import Program, WorkflowDocument
 from unicon_core.workflow.tick_tree import tick_tree
 
 

@@ -18,8 +18,7 @@ from unicon_base import AnyDict, Fault, UniconError
 from unicon_base.arrays import Float32
 from unicon_core.blocks.approach import Target
 from unicon_core.check.rules import live_code
-from unicon_core.flow import Node, Zip, compile_graph
-from unicon_core.flow.block import Stage
+from unicon_core.flow import Node, Stage, Zip, compile_graph
 from unicon_core.gates.build import beginning, first_command
 from unicon_core.gates.data import Rate
 from unicon_core.gates.gate import SoleCommander

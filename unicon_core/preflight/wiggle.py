@@ -20,8 +20,7 @@ import numpy as np
 from unicon_base import Fault
 from unicon_core.blocks.joint_command import robot_gains
 from unicon_core.bounds import within
-from unicon_core.flow import Zip, as_block
-from unicon_core.flow.block import Stage
+from unicon_core.flow import Stage, Zip, as_block
 from unicon_core.runtime.startup_sequence import Waiting, prepared, waiting_tree
 from unicon_core.runtime.ticker import Ticker
 from unicon_core.signals import SIGNALS

@@ -11,8 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from unicon_base import AnyDict
-from unicon_base.errors import Fault
+from unicon_base import AnyDict, Fault
 from unicon_core.page import write_file
 from unicon_core.runtime.statistics import TickStatistics, percentiles
 from unicon_core.workflow.policies import shadowed_in

@@ -23,15 +23,13 @@ import numpy as np
 
 from unicon_base.arrays import Float32
 from unicon_base.errors import UniconError
-from unicon_core.flow import compile_graph
-from unicon_core.flow.block import Stage
+from unicon_core.flow import Stage, compile_graph
 from unicon_core.flow.compiled import LABEL, CompiledGraph
 from unicon_core.platforms.platform import Changeable, DefersPhysics
 from unicon_core.runtime.phases import Phase
 from unicon_core.runtime.report import reason_of
 from unicon_core.states import States
-from unicon_core.workflow import Program
-from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow import Program, WorkflowDocument
 from unicon_core.workflow.hardware import read_scene
 from unicon_core.workflow.policies import GROUND
 from unicon_core.workflow.tick_tree import memory_of

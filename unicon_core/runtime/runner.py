@@ -9,8 +9,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from unicon_base.errors import EmergencyStopPressed, Fault, Hung, Silence, UniconError
-from unicon_core.flow import Node
-from unicon_core.flow.compiled import CompiledGraph
+from unicon_core.flow import CompiledGraph, Node
 from unicon_core.pacing import prepare_process, process_age_s
 from unicon_core.platforms.platform import Resettable
 from unicon_core.runtime.phases import WIND_DOWN, Damp, Phase, RunOptions, refuse_pace, status_facts

@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from unicon_core.flow import Block, Node, Stage
-from unicon_core.flow.nodes import blocks_of
+from unicon_core.flow import Block, Node, Stage, blocks_of
 from unicon_core.memory import Memory, Snapshot
 from unicon_core.runtime.phases import Phase
 from unicon_core.workflow.tick_tree import memory_of

@@ -9,8 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from unicon_base.errors import Fault, Hung
-from unicon_core.flow import Node, compile_graph
-from unicon_core.flow.compiled import CompiledGraph
+from unicon_core.flow import CompiledGraph, Node, compile_graph
 from unicon_core.pacing import CATCH_UP, WallClock, WarmUp, staying
 from unicon_core.platforms.platform import CountsArrivals
 from unicon_core.runtime.arrivals import Arrivals, awaited

@@ -10,8 +10,17 @@ from typing import Any
 
 from unicon_base import AnyDict, AnyMapping, UniconError, WorkflowError, alternatives
 from unicon_core.blocks.safety.stops import Finite
-from unicon_core.flow import Blender, Block, Every, Node, Switch, blocks_of, children_of
-from unicon_core.flow.block import Stage, Tick
+from unicon_core.flow import (
+    Blender,
+    Block,
+    Every,
+    Node,
+    Stage,
+    Switch,
+    Tick,
+    blocks_of,
+    children_of,
+)
 from unicon_core.flow.nodes import chooser_of, with_children
 from unicon_core.policies.action_map import lacking_joints
 from unicon_core.policies.controller import controller_contract

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from unicon_base import WorkflowError, alternatives
-from unicon_core.flow import Block, Node, Zip, as_block, blocks_of, children_of
-from unicon_core.flow.block import Stage
+from unicon_core.flow import Block, Node, Stage, Zip, as_block, blocks_of, children_of
 from unicon_core.flow.nodes import with_children
 from unicon_core.states import States
 from unicon_core.states.groups import COMMAND, Groups

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, TypedDict
 
 from unicon_base import AnyMapping
 from unicon_core.blocks.approach import Entry, Monitor
-from unicon_core.flow import Block, Node, as_block, blocks_of
-from unicon_core.flow.block import Stage
+from unicon_core.flow import Block, Node, Stage, as_block, blocks_of
 from unicon_core.gates.build import gates_of
 from unicon_core.platforms.joined import PartPlatform
 from unicon_core.platforms.kit.command import LastSent

@@ -14,8 +14,7 @@ import numpy as np
 
 from unicon_base import Fault, Hung, TextSink
 from unicon_core.blocks.approach import Monitor
-from unicon_core.flow import Block, Node
-from unicon_core.flow.block import Stage
+from unicon_core.flow import Block, Node, Stage
 from unicon_core.gates.gate import StartGate
 from unicon_core.latches import Latch
 from unicon_core.pacing import Pacing

@@ -12,12 +12,20 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 from unicon_base import AnyDict, UniconError, WorkflowError
-from unicon_core.flow import Block, Deferred, Node, Switch, Zip, as_block, blocks_of
-from unicon_core.flow.block import Stage
+from unicon_core.flow import (
+    Block,
+    CompiledGraph,
+    Deferred,
+    Node,
+    Stage,
+    Switch,
+    Zip,
+    as_block,
+    blocks_of,
+    fuse,
+)
 from unicon_core.flow.checks import check_graph, raise_first
-from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.flow.critical_path import critical_path, is_patient
-from unicon_core.flow.fuse import fuse
 from unicon_core.flow.nodes import children_of, chooser_of, unfused, with_children
 from unicon_core.memory import Memory
 from unicon_core.platforms.platform import Platform

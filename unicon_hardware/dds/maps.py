@@ -18,12 +18,19 @@ from unicon_core.states.standard import COMMAND_STATES
 from unicon_hardware.dds.participant import LARGEST_DOMAIN
 from unicon_hardware.facts import Rate, Transport
 from unicon_hardware.wire import Counts, frame_type
-from unicon_msgs_map import Decoder, Encoder, MessageMap, PublishSpec, SubscribeSpec, parse_map
+from unicon_msgs_map import (
+    Decoder,
+    Encoder,
+    FieldSpec,
+    MessageMap,
+    PublishSpec,
+    SubscribeSpec,
+    parse_map,
+)
 from unicon_msgs_map.codec.checksum import unitree_crc
 from unicon_msgs_map.layout.messages import Struct, shared_messages
 from unicon_msgs_map.layout.paths import Reference, parse_path
 from unicon_msgs_map.layout.walker import static_size
-from unicon_msgs_map.spec import FieldSpec
 
 HEADER = b"\x00\x01"
 """Plain CDR (XCDR1), little endian: all that these robots send. XCDR2 has other sizes."""

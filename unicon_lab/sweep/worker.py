@@ -25,8 +25,7 @@ from unicon_core.platforms.kit.scene import SCENE_KEYS
 from unicon_core.policies.networks.onnx import share_sessions
 from unicon_core.runtime.rollouts import Lockstep, Look, Rollout, Rollouts
 from unicon_core.states import States
-from unicon_core.workflow import Program
-from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow import Program, WorkflowDocument
 from unicon_lab.analysis.run import Run, read_run
 from unicon_lab.recording.run_recording import network_hash, robot_text
 from unicon_lab.sweep.figures import FallLook, Figures, Keeper, empty_row, reference_for

@@ -28,8 +28,7 @@ from unicon_core.runtime.rollouts import Look, Rollout
 from unicon_core.runtime.statistics import percentiles
 from unicon_core.signals import SIGNALS, signal_name
 from unicon_core.states import States
-from unicon_core.workflow import Program, load_document
-from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow import Program, WorkflowDocument, load_document
 from unicon_core.workflow.hardware import declared_facts
 from unicon_core.workflow.members import read_platforms
 from unicon_core.workflow.registry import find_factory, known

@@ -29,10 +29,9 @@ from unicon_base.arrays import Array, Float32, Float64
 from unicon_base.resources import find_config, same_modules
 from unicon_core.models.camera import Intrinsics
 from unicon_core.models.kinematic_tree import Link
-from unicon_msgs_map import Encoder, FieldSpec, PublishSpec
+from unicon_msgs_map import Encoder, FieldSpec, PublishSpec, Qos
 from unicon_msgs_map.layout.messages import shared_messages
 from unicon_msgs_map.layout.paths import Reference, parse_path
-from unicon_msgs_map.spec import Qos
 from unicon_ros import compat
 from unicon_ros.bridge.own_node import PROFILES, OwnNode
 from unicon_ros.bridge.qos import LATCHED, QosEvents, qos_profile

@@ -21,8 +21,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 from unicon_base import AnyDict
-from unicon_msgs_map import Messages
-from unicon_msgs_map.errors import MapError
+from unicon_msgs_map import MapError, Messages
 from unicon_msgs_map.layout.messages import Array, Primitive, String, Struct, TypeRef
 from unicon_ros.compat.loading import fast_dds_profiles, message_class, middleware
 

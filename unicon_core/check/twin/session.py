@@ -29,8 +29,7 @@ from unicon_core.policies.policy import DrivenPolicy
 from unicon_core.robots import Robot
 from unicon_core.runtime import Runner, RunOptions
 from unicon_core.states import States
-from unicon_core.workflow import HookBlocks, Program
-from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow import HookBlocks, Program, WorkflowDocument
 
 JUDGED = (
     "joint_pos", "joint_effort", "base_ang_vel", "base_lin_vel", "base_pos_w", "projected_gravity"

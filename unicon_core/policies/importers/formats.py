@@ -31,8 +31,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
-from unicon_base import AnyDict, AnyMapping, PolicyError
-from unicon_base.errors import one_line
+from unicon_base import AnyDict, AnyMapping, PolicyError, one_line
 from unicon_base.located_yaml import Located, Where, read_text
 from unicon_base.schema.marks import Within
 from unicon_core.policies.facts import Facts, says

@@ -28,8 +28,7 @@ from unicon_core.flow import Block, Stage
 from unicon_core.pacing import WallClock, WarmUp
 from unicon_core.runtime import Runner, RunOptions, ticker
 from unicon_core.signals import SIGNALS
-from unicon_core.workflow import HookBlocks, Program
-from unicon_core.workflow.document import load_document
+from unicon_core.workflow import HookBlocks, Program, load_document
 from unicon_ros.attachments import Asked, attached
 from unicon_ros.bench.loops import Loop, Slice
 from unicon_ros.bench.pipelines.log import MIRROR, Log, arguments
