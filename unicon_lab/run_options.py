@@ -172,7 +172,7 @@ def attachments(asked: Asked) -> Iterator[Attachment]:
 
         yield Metered(asked.options["metrics"], asked.session, asked.warn)
     if get("diagnose"):
-        from unicon_lab.diagnose.live import Diagnosed
+        from unicon_lab.diagnose.fit import Diagnosed
 
         yield Diagnosed(asked)
     from unicon_lab.fault_record import FaultRecord

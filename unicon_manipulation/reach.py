@@ -15,7 +15,7 @@ import numpy as np
 from unicon_base import WorkflowError
 from unicon_base.schema.marks import Within, Write, positive
 from unicon_core.blocks.forward_command import MAX_RATE
-from unicon_core.blocks.joint_command import single
+from unicon_core.blocks.postures import single
 from unicon_core.blocks.safety.limits import rates_of
 from unicon_core.blocks.whole_body.frames import effector_of
 from unicon_core.bounds import MaxRate

@@ -17,7 +17,7 @@ import numpy as np
 from unicon_base import TextSink, WorkflowError, alternatives
 from unicon_base.arrays import Float32, Float64
 from unicon_base.schema.marks import Within, positive
-from unicon_core.blocks.joint_command import single
+from unicon_core.blocks.postures import single
 from unicon_core.blocks.safety.limits import rates_of
 from unicon_core.bounds import MaxRate
 from unicon_core.flow.block import Reads, Writes

@@ -157,7 +157,7 @@ def test_the_robot_file_is_asked_where_the_policy_says_nothing(
 
 
 def test_of_several_policies_the_tightest_holds_and_zero_is_always_allowed() -> None:
-    from unicon_core.workflow.command_bounds import command_bounds
+    from unicon_core.workflow.program_data import command_bounds
 
     class Contract:
         def __init__(self, **ranges: tuple[float, float]) -> None:

@@ -26,8 +26,8 @@ from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.states import States, StateSpec
 from unicon_core.states.standard import standard_states
 from unicon_core.workflow import Program, load_document
-from unicon_lab.diagnose import Cause, live
-from unicon_lab.diagnose.live import Diagnosed, Live
+from unicon_lab.diagnose import Cause, fit
+from unicon_lab.diagnose.fit import Diagnosed, Live
 from unicon_lab.view.shown import HEAD
 from unicon_lab.view.source import LiveSource, Remote
 from unicon_ros.attachments import Asked
@@ -80,7 +80,7 @@ def ticks() -> Iterator[Ticks]:
 @pytest.fixture(autouse=True)
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is waited for."""
-    monkeypatch.setattr(live, "SPAN", 0.0)
+    monkeypatch.setattr(fit, "SPAN", 0.0)
 
 
 def device(ticks: Ticks, told: Told, scene: Scene | None = None) -> Live:
@@ -97,7 +97,7 @@ def looked(ticks: Ticks, monkeypatch: pytest.MonkeyPatch) -> Any:
         found.append(motion)
         return SimpleNamespace(causes=())
 
-    monkeypatch.setattr(live, "plant_causes", causes)
+    monkeypatch.setattr(fit, "plant_causes", causes)
     device(ticks, Told())._verdict.result()
     return found[0]
 
@@ -111,7 +111,7 @@ def test_it_looks_at_the_last_ticks_of_a_ring_that_went_round(
     assert len(swung) == 298
     np.testing.assert_allclose(motion.measured["joint_pos"][:, 0], swung, atol=1e-6)
     assert (np.diff(motion.starts) % motion.length == 0).all()
-    assert len(motion.starts) == live.WINDOWS
+    assert len(motion.starts) == fit.WINDOWS
 
 
 def test_ticks_that_were_overwritten_while_it_read_are_in_no_window(
@@ -183,15 +183,15 @@ def test_no_verdict_for_long_is_told_once_with_its_reason(
         return SimpleNamespace(causes=())
 
     patience = 2.0 if short else 0.2  # a look has to end before
-    monkeypatch.setattr(live, "PATIENCE", patience)
-    monkeypatch.setattr(live, "plant_causes", slow)
+    monkeypatch.setattr(fit, "PATIENCE", patience)
+    monkeypatch.setattr(fit, "plant_causes", slow)
     told = Told()
     one = device(ticks, told)
     end = time.monotonic() + patience + 0.6
     while time.monotonic() < end:
         one.poll()
         time.sleep(0.01)
-    why = "a diagnosis needs at least 8 windows" if short else live._BUSY
+    why = "a diagnosis needs at least 8 windows" if short else fit._BUSY
     (line,) = told
     assert line.startswith(f"diagnose: no verdict within {patience:g} s: {why}")
     one._pool.shutdown(wait=False, cancel_futures=True)

@@ -18,11 +18,11 @@ from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import load_robot
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_lab.diagnose.fit import Fit, Parameter, overlay_text
-from unicon_lab.diagnose.likelihood import Likelihood
 from unicon_lab.diagnose.motion import BASE_ANSWERS, Motion
 from unicon_lab.diagnose.plant import KINDS, Place
 from unicon_lab.diagnose.replays import Replays
 from unicon_lab.diagnose.search import Found, Search
+from unicon_lab.diagnose.windows import Likelihood
 
 GO2 = load_robot("go2")
 CALF, FR_THIGH, FL_CALF = (

@@ -16,7 +16,7 @@ pytest.importorskip("mujoco")
 pytest.importorskip("onnxruntime")
 
 from unicon_base.errors import Fault, RobotError
-from unicon_core.blocks.joint_command import Commands
+from unicon_core.blocks.postures import Commands
 from unicon_core.blocks.safety.ranges import command_stop
 from unicon_core.check import check_workflow
 from unicon_core.flow import Block, Stage

@@ -19,9 +19,8 @@ from random_graphs import World, block_kinds, trees
 from unicon_base.errors import Fault
 from unicon_core.blocks.approach import FadeIn
 from unicon_core.blocks.forward_command import CommandStates, ForwardCommand
-from unicon_core.blocks.joint_command import Commands, JointCommand
 from unicon_core.blocks.maps import projected_gravity
-from unicon_core.blocks.postures import Damp, Hold, Pose
+from unicon_core.blocks.postures import Commands, Damp, Hold, JointCommand, Pose
 from unicon_core.blocks.safety import limits, stops
 from unicon_core.blocks.safety.servo_stops import TrackingStop
 from unicon_core.blocks.safety.stops import Commanded, Elapsed, Settled, tilted

@@ -44,7 +44,7 @@ from unicon_hardware.unitree import facts as release
 from unicon_hardware.unitree import platform as wire
 from unicon_hardware.unitree.face import face
 from unicon_hardware.unitree.platform import Unitree, make
-from unicon_msgs_map.codec.checksum import unitree_crc
+from unicon_msgs_map.codec.binding import unitree_crc
 from unicon_msgs_map.layout.messages import shared_messages
 from unicon_msgs_map.layout.paths import Reference, parse_path
 from unicon_msgs_map.spec import FieldSpec

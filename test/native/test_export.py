@@ -18,7 +18,7 @@ import pytest
 
 from unicon_base.errors import WorkflowError
 from unicon_core.native import build
-from unicon_core.native.arena import Arena
+from unicon_core.native.operands import Arena
 from unicon_core.runtime.rollouts import Rollouts
 from unicon_core.workflow import Program, load_document
 from unicon_ros.cli.main import main

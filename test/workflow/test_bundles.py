@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from unicon_base.errors import WorkflowError
-from unicon_core.blocks.joint_command import JointCommand
+from unicon_core.blocks.postures import JointCommand
 from unicon_core.flow import Amends, Block, Bundle, Reads
 from unicon_core.robots import load_robot
 from unicon_core.states import States, StateSpec, standard_states

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from unicon_base.errors import WorkflowError
-from unicon_core.blocks.joint_command import JointCommand
+from unicon_core.blocks.postures import JointCommand
 from unicon_core.check import check_workflow
 from unicon_core.flow import Reads, as_block
 from unicon_core.policies.controller import controller_contract

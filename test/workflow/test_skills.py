@@ -12,7 +12,7 @@ import pytest
 
 from unicon_base.errors import WorkflowError
 from unicon_core.blocks.controls.device import declares_controls
-from unicon_core.blocks.joint_command import JointCommand
+from unicon_core.blocks.postures import JointCommand
 from unicon_core.flow import Writes
 from unicon_core.robots import Robot
 from unicon_core.runtime import Runner, RunOptions

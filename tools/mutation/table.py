@@ -459,7 +459,7 @@ ROWS = [
         ("Entry.__call__", "self._pairs[0][1][...] = self._measured", "pass"),
         ("Entry.__call__", "held[...] = self._last.states[name]", "pass"),
     ),
-    *_rows("blocks/joint_command.py", COUNTED, ("Counting.reset", REMOVED)),
+    *_rows("blocks/postures.py", COUNTED, ("Counting.reset", REMOVED)),
     *_rows(
         "runtime/startup_sequence.py",
         PHASES,

@@ -13,7 +13,6 @@ BUILTIN: dict[str, str] = {
         "controls.gamepad": ("gamepad",),
         "controls.device": ("keyboard",),
         "controls.modes": ("modes",),
-        "predicates": ("Commanded", "Elapsed", "Settled", "tilted"),
         "safety.limits": ("effort_limits", "joint_limits", "rate_limit", "velocity_limits"),
         "safety.ranges": (
             *("action_stop", "command_stop", "hardware_stop", "range_stop"),
@@ -22,16 +21,15 @@ BUILTIN: dict[str, str] = {
         "safety.sensors": ("JointSensorStop",),
         "safety.servo_stops": ("OverrunStop", "PowerStop", "TrackingStop", "TwinStop"),
         "safety.stops": (
-            *("ButtonStop", "Finite", "height_stop", "RemoteStop"),
-            *("StaleStop", "TiltStop", "VelocityStop"),
+            *("ButtonStop", "Commanded", "Elapsed", "Finite", "height_stop", "RemoteStop"),
+            *("Settled", "StaleStop", "tilted", "TiltStop", "VelocityStop"),
         ),
         "safety.stuck": ("EncoderStop", "ImuStop"),
         "approach": ("BlendIn", "FadeIn"),
         "forward_command": ("External", "ForwardCommand"),
         "odometry.leg_odometry": ("LegOdometry",),
         "maps": ("copy", "linear_map", "MotorHeat", "projected_gravity"),
-        "whole_body.frames": ("Frames", "MovingTarget"),
-        "whole_body.gravity": ("Gravity",),
+        "whole_body.frames": ("Frames", "Gravity", "MovingTarget"),
     }.items()
     for factory in factories
 }

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from unicon_base.arrays import Float32
-from unicon_core.blocks.joint_command import Counting, ticks_of
+from unicon_core.blocks.postures import Counting, ticks_of
 from unicon_core.bounds import Seconds
 from unicon_core.flow.block import Amends, Stage
 from unicon_core.platforms.kit.command import LastSent

@@ -15,7 +15,7 @@ import numpy as np
 from unicon_base.arrays import Float32, Float64
 from unicon_base.errors import WorkflowError
 from unicon_base.schema.marks import NotEmpty, Within, positive
-from unicon_core.blocks.joint_command import Counting, JointCommand, robot_gains, ticks_of
+from unicon_core.blocks.postures import Counting, JointCommand, robot_gains, ticks_of
 from unicon_core.bounds import (
     DURATION,
     POSE_DURATION,

@@ -19,7 +19,7 @@ import numpy as np
 from unicon_base.arrays import Float32
 from unicon_base.errors import RobotError
 from unicon_base.schema.marks import Within, positive
-from unicon_core.blocks.joint_command import JointCommand, end_of, robot_gains
+from unicon_core.blocks.postures import JointCommand, end_of, robot_gains
 from unicon_core.blocks.safety.limits import rates_of
 from unicon_core.bounds import (
     DURATION,

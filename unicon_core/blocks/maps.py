@@ -12,7 +12,7 @@ import numpy as np
 from unicon_base.arrays import Array, Float32
 from unicon_base.errors import StateError, alternatives
 from unicon_base.schema.marks import Within, positive
-from unicon_core.blocks.joint_command import Commands
+from unicon_core.blocks.postures import Commands
 from unicon_core.bounds import DURATION
 from unicon_core.flow.block import LinearMap, Reads, Writes
 from unicon_core.platforms.kit.command import Servo

@@ -14,7 +14,7 @@ import numpy as np
 from unicon_base.errors import WorkflowError
 from unicon_base.schema.marks import NotEmpty, Within, Write, positive
 from unicon_core.blocks.controls.device import declares_controls
-from unicon_core.blocks.joint_command import end_of, single
+from unicon_core.blocks.postures import end_of, single
 from unicon_core.bounds import BUTTONS, Button, Seconds
 from unicon_core.flow.block import Reads, Writes
 

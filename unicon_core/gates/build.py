@@ -6,8 +6,7 @@ import numpy as np
 
 from unicon_base.arrays import Float32
 from unicon_core.blocks.approach import Target
-from unicon_core.blocks.joint_command import robot_gains
-from unicon_core.blocks.postures import Damp, Hold, Pose
+from unicon_core.blocks.postures import Damp, Hold, Pose, robot_gains
 from unicon_core.blocks.safety.ranges import RangeStop
 from unicon_core.blocks.safety.stops import TiltStop
 from unicon_core.blocks.safety.stuck import ImuStop

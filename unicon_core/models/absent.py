@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from unicon_base import AnyDict, ModelError
+from unicon_base.located_yaml import is_lfs_pointer
 from unicon_base.packages import PACKAGE, share_folder
-from unicon_core.file_kinds import is_lfs_pointer
 
 _MESHES = (".stl", ".obj", ".msh")  # what MuJoCo reads; COLLADA counts as absent
 _ATTACHED = re.compile(r"""<model\s[^<>]*?\bfile\s*=\s*["']([^"'<>]+)["']""")

@@ -29,8 +29,7 @@ from unicon_core.flow.compiled import Lines, Scope, indent
 from unicon_core.flow.compiler import compile_graph
 from unicon_core.flow.nodes import blocks_of
 from unicon_core.native import network
-from unicon_core.native.arena import Arena
-from unicon_core.native.operands import PRELUDE
+from unicon_core.native.operands import PRELUDE, Arena
 from unicon_core.native.pieces import Piece
 from unicon_core.native.stretches import STEPS, Stretches
 from unicon_core.native.tick import clean

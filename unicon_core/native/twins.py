@@ -287,8 +287,8 @@ TWINS: dict[tuple[str, ...], Twin] = {
     ("blocks.postures:Damp.__call__",): _DAMP,
     ("blocks.velocity_command:VelocityCommand.__call__",): _velocity_command,
     (
-        "workflow.command_bounds:CommandBounds.__call__",
-        "workflow.command_bounds:CommandBounds.within",
+        "workflow.program_data:CommandBounds.__call__",
+        "workflow.program_data:CommandBounds.within",
     ): """
     double x = $_first[0], y = $_first[1], z = $_first[2];
     if (!($_x0 <= x && x <= $_x1 && $_y0 <= y && y <= $_y1 && $_z0 <= z && z <= $_z1)) {

@@ -1,5 +1,6 @@
 """Policies: networks with their contracts, from whatever format, as blocks."""
 
+from unicon_core.policies.action_map import TermSlice, term_slices
 from unicon_core.policies.contract import (
     ActionSpec,
     ObservationSpec,
@@ -24,7 +25,6 @@ from unicon_core.policies.table import (
     policies_table,
     policy_table,
 )
-from unicon_core.policies.terms import TermSlice, term_slices
 
 __all__ = [
     "ActionSpec",

@@ -16,12 +16,12 @@ import numpy as np
 
 from unicon_base import PolicyError
 from unicon_base.arrays import Array, Float32
+from unicon_core.policies.action_map import explain_size
 from unicon_core.policies.contract import ObservationSpec, ObservationTerm, PolicyContract
 from unicon_core.policies.controller import PackedStates
 from unicon_core.policies.networks import Network, Remembering, Tensor
 from unicon_core.policies.observation import Observation, nothing
 from unicon_core.policies.phase import Filter
-from unicon_core.policies.terms import explain_size
 
 _TIME_STEP = "time_step"
 Published: TypeAlias = tuple[Float32, Float32]

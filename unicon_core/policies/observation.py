@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from unicon_base.arrays import Float32, Index
+from unicon_core.policies.action_map import TermSlice, term_slices
 from unicon_core.policies.contract import ObservationSpec, PolicyContract
 from unicon_core.policies.controller import PackedStates
 from unicon_core.policies.phase import make_filter
-from unicon_core.policies.terms import TermSlice, term_slices
 
 
 class Observation:

@@ -13,9 +13,8 @@ import numpy as np
 import yaml
 
 from unicon_base import AnyDict, PolicyError, cannot
-from unicon_base.located_yaml import Located, Tagged
+from unicon_base.located_yaml import Located, Tagged, other_kind
 from unicon_base.resources import sha256_of
-from unicon_core.file_kinds import other_kind
 from unicon_core.policies.contract import ObservationTerm, PolicyContract, PolicyFacts
 from unicon_core.policies.facts import TO_GIVE, Facts
 from unicon_core.policies.file import read_facts

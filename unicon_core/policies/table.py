@@ -7,11 +7,11 @@ from itertools import groupby
 
 from unicon_base import AnyDict, PolicyError, alternatives
 from unicon_base.arrays import Float32
+from unicon_core.policies.action_map import TermSlice, term_slices
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.controller import PackedStates
 from unicon_core.policies.load import load_policy, policy_names
 from unicon_core.policies.policy_states import policy_states, states_of
-from unicon_core.policies.terms import TermSlice, term_slices
 from unicon_core.robots import Robot
 from unicon_core.states import States, standard_states
 from unicon_core.text_table import aligned, figure, span

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from unicon_base import Fault
-from unicon_core.blocks.joint_command import robot_gains
+from unicon_core.blocks.postures import robot_gains
 from unicon_core.bounds import within
 from unicon_core.flow import Stage, Zip, as_block
 from unicon_core.runtime.startup_sequence import Waiting, prepared, waiting_tree

@@ -20,13 +20,12 @@ import numpy as np
 
 from unicon_base import AnyDict, RobotError, WorkflowError, alternatives
 from unicon_base.arrays import Float32, Float64
-from unicon_base.located_yaml import Located, read_yaml
+from unicon_base.located_yaml import Located, other_kind, read_yaml
 from unicon_base.resources import find_config, list_config
 from unicon_base.schema.read import read, refuse
 from unicon_base.schema.records import record_of
 from unicon_base.schema.types import Mistakes
 from unicon_core.bounds import POSITION, within
-from unicon_core.file_kinds import other_kind
 from unicon_core.robots.file import Figures, Overlay, RobotFile
 from unicon_core.robots.robot import JOINT_FIELDS, Imu, Place, Robot
 

@@ -26,14 +26,13 @@ from typing import Annotated, Any, Literal
 
 from unicon_base import AnyDict, AnyMapping, WorkflowError
 from unicon_base.bounded_yaml import MAX_DEPTH, YamlError
-from unicon_base.located_yaml import Located, parse_value, read_yaml
+from unicon_base.located_yaml import Located, other_kind, parse_value, read_yaml
 from unicon_base.resources import find_config, list_config
 from unicon_base.schema.marks import Made, Within, positive
 from unicon_base.schema.read import refuse
 from unicon_base.schema.records import record_of, type_of
 from unicon_base.schema.types import Here, Mistakes
 from unicon_core.bounds import POSE_SPEED
-from unicon_core.file_kinds import other_kind
 from unicon_core.pacing import Pacing
 from unicon_core.synchronised_start.meeting import Party
 from unicon_core.synchronised_start.rendezvous import Moment, moment_of

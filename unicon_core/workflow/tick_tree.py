@@ -39,10 +39,15 @@ from unicon_core.states.standard import (
 )
 from unicon_core.workflow.autowire import state_names
 from unicon_core.workflow.build import Builder, factory_of
-from unicon_core.workflow.command_bounds import COMMAND, CommandBound, CommandBounds, command_bounds
 from unicon_core.workflow.live_twin import TWIN_STATES
 from unicon_core.workflow.policies import controllers_reading
-from unicon_core.workflow.program_data import ProgramData
+from unicon_core.workflow.program_data import (
+    COMMAND,
+    CommandBound,
+    CommandBounds,
+    ProgramData,
+    command_bounds,
+)
 from unicon_core.workflow.registry import find_factory
 from unicon_core.workflow.uses import EXPRESSION, Use
 

@@ -27,7 +27,7 @@ from unicon_msgs_map import (
     SubscribeSpec,
     parse_map,
 )
-from unicon_msgs_map.codec.checksum import unitree_crc
+from unicon_msgs_map.codec.binding import unitree_crc
 from unicon_msgs_map.layout.messages import Struct, shared_messages
 from unicon_msgs_map.layout.paths import Reference, parse_path
 from unicon_msgs_map.layout.walker import static_size

@@ -30,7 +30,7 @@ from unicon_hardware.facts import (
     wrong_fact,
 )
 from unicon_hardware.wire import frame_type
-from unicon_msgs_map.codec.checksum import words_crc
+from unicon_msgs_map.codec.binding import words_crc
 
 SLOTS = 20
 """Motors of a datagram; a robot of 12 leaves the rest idle."""

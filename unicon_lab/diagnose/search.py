@@ -14,11 +14,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from unicon_base.arrays import Float64, Int64
-from unicon_lab.diagnose.likelihood import Fitted
 from unicon_lab.diagnose.motion import Motion
 from unicon_lab.diagnose.plant import KINDS, Place
 from unicon_lab.diagnose.replays import Run
-from unicon_lab.diagnose.windows import Derivatives, Settled
+from unicon_lab.diagnose.windows import Derivatives, Fitted, Settled
 
 COMPARED = 12
 """Changes whose derivatives are taken of all windows, of those that fit best alone."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from unicon_base import StateError, UniconError, WorkflowError
 from unicon_base.arrays import Array, Index
-from unicon_core.blocks.joint_command import robot_gains
+from unicon_core.blocks.postures import robot_gains
 from unicon_core.runtime.phases import Phase
 from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES, JOINT_STATES

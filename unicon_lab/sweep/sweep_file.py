@@ -21,12 +21,11 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from unicon_base import AnyDict, AnyMapping, UniconError, alternatives
-from unicon_base.located_yaml import read_yaml
+from unicon_base.located_yaml import other_kind, read_yaml
 from unicon_base.schema.marks import NotEmpty, Text, Within, Write, positive
 from unicon_base.schema.read import read
 from unicon_base.schema.types import Here, Mistakes
 from unicon_core.bounds import DURATION
-from unicon_core.file_kinds import other_kind
 from unicon_core.workflow.document import split_setting
 from unicon_lab.sweep.draws import Parameter, parameter, setting_of
 from unicon_lab.sweep.figures import NUMBERS

@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal
 from unicon_base import WorkflowError
 from unicon_base.arrays import Float32, Int32, Int64
 from unicon_base.schema.marks import Within, Write, positive
-from unicon_core.blocks.joint_command import ticks_of
+from unicon_core.blocks.postures import ticks_of
 from unicon_core.models.frames import Vector
 from unicon_core.states import StateSpec
 from unicon_core.states.standard import target_states

@@ -36,8 +36,8 @@ from unicon_msgs_map.codec.binding import (
     bind_variable,
     limits,
     message_order,
+    unitree_crc,
 )
-from unicon_msgs_map.codec.checksum import unitree_crc
 from unicon_msgs_map.codec.packs import Copy, Packs, as_copy, copy_lines
 from unicon_msgs_map.errors import MapStateError, count_of
 from unicon_msgs_map.layout.messages import Array, Primitive, String, Struct, TypeRef

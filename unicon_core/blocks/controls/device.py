@@ -31,7 +31,7 @@ from typing import Annotated, Any
 
 from unicon_base.arrays import Float32, Int32
 from unicon_base.schema.marks import Within
-from unicon_core.blocks.joint_command import ticks_of
+from unicon_core.blocks.postures import ticks_of
 from unicon_core.bounds import BUTTONS
 from unicon_core.flow import Block, Stage
 from unicon_core.states import States, StateSpec

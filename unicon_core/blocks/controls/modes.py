@@ -30,7 +30,7 @@ from unicon_base.arrays import Array, Bool, Float32, Int32
 from unicon_base.errors import WorkflowError, alternatives
 from unicon_base.schema.marks import Like, NotEmpty, Write
 from unicon_core.blocks.controls.device import declares_controls
-from unicon_core.blocks.joint_command import ticks_of
+from unicon_core.blocks.postures import ticks_of
 from unicon_core.bounds import BUTTONS, Button
 from unicon_core.flow.block import Reads, Writes
 from unicon_core.states import StateSpec

@@ -13,8 +13,8 @@ import numpy as np
 from unicon_base.arrays import Array
 from unicon_base.errors import WorkflowError
 from unicon_base.schema.marks import positive
-from unicon_core.blocks.joint_command import single
 from unicon_core.blocks.odometry.velocity_filter import VelocityFilter
+from unicon_core.blocks.postures import single
 from unicon_core.flow.block import Reads, Writes
 from unicon_core.models.feet import GRAVITY, Feet
 from unicon_core.robots import Robot

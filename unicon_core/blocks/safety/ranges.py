@@ -19,7 +19,7 @@ import numpy as np
 from unicon_base.arrays import Array, Float32
 from unicon_base.errors import Fault, WorkflowError
 from unicon_base.schema.marks import Matches, Within, positive
-from unicon_core.blocks.joint_command import Commands
+from unicon_core.blocks.postures import Commands
 from unicon_core.bounds import DAMPING, EFFORT, POSITION, STIFFNESS, VELOCITY
 from unicon_core.flow.block import Reads, Stage
 from unicon_core.robots import Robot

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from unicon_base.errors import Fault
-from unicon_core.blocks.joint_command import single
+from unicon_core.blocks.postures import single
 from unicon_core.bounds import Motion
 from unicon_core.flow.block import Reads, Stage
 from unicon_core.robots import Robot

@@ -13,7 +13,7 @@ import numpy as np
 
 from unicon_base.errors import Fault, WorkflowError
 from unicon_base.schema.marks import Within, positive
-from unicon_core.blocks.joint_command import Commands, ticks_of
+from unicon_core.blocks.postures import Commands, ticks_of
 from unicon_core.blocks.safety.limits import first_of
 from unicon_core.bounds import Motion, Timeout
 from unicon_core.flow.block import Reads, Stage

@@ -17,7 +17,7 @@ from unicon_base.arrays import Float32
 from unicon_base.errors import EmergencyStopPressed, Fault, Silence, WorkflowError
 from unicon_base.schema.marks import NotEmpty, Unit, Within, Write, positive
 from unicon_core.blocks.controls.device import declares_controls
-from unicon_core.blocks.joint_command import Commands, Counting, end_of, ticks_of
+from unicon_core.blocks.postures import Commands, Counting, end_of, ticks_of
 from unicon_core.blocks.safety.limits import known_velocity_limits
 from unicon_core.blocks.safety.ranges import RangeStop
 from unicon_core.bounds import (

@@ -15,7 +15,7 @@ import numpy as np
 from unicon_base.arrays import Float32
 from unicon_base.errors import Fault
 from unicon_base.schema.marks import positive
-from unicon_core.blocks.joint_command import single, ticks_of
+from unicon_core.blocks.postures import single, ticks_of
 from unicon_core.blocks.safety.limits import first_of
 from unicon_core.blocks.safety.stops import PATIENT
 from unicon_core.bounds import Motion, Timeout

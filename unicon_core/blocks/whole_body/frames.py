@@ -21,7 +21,7 @@ import numpy as np
 from unicon_base.arrays import Bool, Index
 from unicon_base.errors import WorkflowError, alternatives
 from unicon_base.schema.marks import Point, Within
-from unicon_core.blocks.joint_command import single
+from unicon_core.blocks.postures import single
 from unicon_core.bounds import DURATION
 from unicon_core.flow.block import Amends, Reads
 from unicon_core.models.frames import Frames as BodyFrames

@@ -17,7 +17,7 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 from unicon_base.arrays import Array
 from unicon_base.errors import PolicyError
-from unicon_core.file_kinds import is_lfs_pointer
+from unicon_base.located_yaml import is_lfs_pointer
 
 
 @dataclass(frozen=True)

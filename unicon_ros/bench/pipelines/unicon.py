@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from unicon_core.blocks.joint_command import JointCommand
+from unicon_core.blocks.postures import JointCommand
 from unicon_core.flow import Block, Stage
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
