@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import Fault, PolicyError
+from unicon_base import Fault, PolicyError, TextSink
 from unicon_core.policies.chunks import DELAY, PREFIX, ChunkSpec, Plan, RemoteSpec
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.controller import PackedStates, PrefixedStates
@@ -68,7 +68,7 @@ class ChildPolicy(Policy):
         *,
         period: float,
         paced: Callable[[], bool],
-        tell: Callable[[str], None] = print,
+        tell: TextSink = print,
         network: ChildNetwork | RemoteNetwork | None = None,
         **options: Any,
     ) -> None:

@@ -9,7 +9,6 @@ import resource
 import traceback
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from unicon_base import AnyDict, Fault
 from unicon_core.page import write_file
@@ -79,8 +78,8 @@ class Report:
     advice: str = ""
     ended: str = ""
     traceback: str = ""
-    bridge: dict[str, Any] | None = None
-    extra: dict[str, Any] = field(default_factory=dict)
+    bridge: AnyDict | None = None
+    extra: AnyDict = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -124,7 +123,7 @@ class Report:
             **program.monitor.found(),
         )
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> AnyDict:
         """Return the report as plain values; `bridge` only where ROS was on."""
         values = {k: v for k, v in vars(self).items() if k not in ("bridge", "extra")}
         if self.bridge is not None:
