@@ -69,6 +69,9 @@ class EnumMember(list[str]):
     """Class and name of a member of an enumeration."""
 
 
+_SAVED = (FromLibrary, GeneratorState, EnumMember)
+
+
 @lru_cache(maxsize=1024)
 def declared(kind: Any) -> tuple[str, ...] | None:
     """Return the attributes that a class and its bases declare; None where none declares any."""
@@ -224,10 +227,10 @@ def _copied(value: Any, path: str) -> Any:
         return value
     if kind is np.ndarray and not value.dtype.hasobject:
         return value.copy()
-    if kind in (list, tuple):
+    if kind in (list, tuple, *_SAVED):  # a library may have saved parts of its own by `save`
         return kind(_copied(each, f"{path}[{i}]") for i, each in enumerate(value))
-    if kind is dict:
-        return {key: _copied(each, f"{path}[{key!r}]") for key, each in value.items()}
+    if kind in (dict, Component):
+        return kind((key, _copied(each, f"{path}[{key!r}]")) for key, each in value.items())
     if kind is deque:
         return deque((_copied(each, path) for each in value), value.maxlen)
     if isinstance(value, Enum):

@@ -65,7 +65,11 @@ class Tuning:
         command_limit: largest magnitude of vx, vy [m/s] and wz [rad/s], shape (3,).
     """
 
+    memory = ("_own", "_changed")  # the numbers are those of today, whatever moment a run repeats
+
     def __init__(self) -> None:
+        self._own: tuple[Any, ...] = ()
+        self._changed = np.zeros(2, np.int8)
         self.scales: Any = memoryview(np.ones(2).data)
         self.command_limit = np.full(3, NO_LIMIT)
 
@@ -155,9 +159,9 @@ class Tuning:
         without the former the factors would add up.
         """
         live = (program.states["joint_stiffness"], program.states["joint_damping"])
-        own = tuple(array.copy() for array in live)
+        own = self._own = tuple(array.copy() for array in live)
         told = program.states[GAIN_SCALE] if _declared(program) else np.ones(2)
-        changed = memoryview(np.zeros(2, np.int8).data)
+        changed = memoryview(self._changed.data)
 
         def unscaled() -> None:
             if changed[0]:

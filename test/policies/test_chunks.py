@@ -158,7 +158,7 @@ def test_a_restored_tick_goes_on_alike(tmp_path: Path, execution: Mode):
     try:
         for tick in range(40):
             if tick == 21:
-                memory = memory_of(program, runner.graphs(), platform=True)
+                memory = memory_of(program, runner.graphs(), platform=program.platform)
                 kept, states = memory.take(), program.states.snapshot()
             runner.tick(0)
         assert memory is not None

@@ -185,7 +185,7 @@ def test_what_is_restored_ticks_on_with_the_same_bytes(
             raise
         pytest.skip(f"it is for one robot: {error}")
     ticks = Ticks(built)
-    memory = memory_of(built, ticks.graphs(), platform=True)
+    memory = memory_of(built, ticks.graphs(), platform=built.platform)
     assert memory.unproven == {}
     ticks.run(150)
     states, snapshot = built.states.snapshot(), memory.take()
@@ -236,7 +236,7 @@ def test_a_snapshot_in_the_middle_of_a_blend_or_a_swap_of_skills(at: int, tmp_pa
                 found += ticks.run(1)
             return found
 
-        memory = memory_of(built, ticks.graphs(), platform=True)
+        memory = memory_of(built, ticks.graphs(), platform=built.platform)
         assert memory.unproven == {}
         run(0, at)
         states, snapshot = built.states.snapshot(), memory.take()
@@ -254,7 +254,7 @@ def test_a_snapshot_in_the_middle_of_a_wind_down(tmp_path: Path) -> None:
     try:
         runner = Runner(built, RunOptions(warn=str))
         graphs = runner.graphs()
-        memory = memory_of(built, graphs, platform=True)
+        memory = memory_of(built, graphs, platform=built.platform)
         for _ in range(40):
             graphs["run"].step()
             graphs["run"].deferred()
@@ -285,7 +285,9 @@ def test_the_memory_of_another_file_is_refused_with_what_differs(tmp_path: Path)
     del more["skills"]
     other = Program(load_document(written(tmp_path / "other", more)))
     try:
-        memories = [memory_of(each, Ticks(each).graphs(), platform=True) for each in (one, other)]
+        memories = [
+            memory_of(each, Ticks(each).graphs(), platform=each.platform) for each in (one, other)
+        ]
         snapshot = memories[0].take()
         with pytest.raises(StateError, match=r"it has a block '.*', which this one lacks; this"):
             memories[1].put_back(snapshot)

@@ -14,10 +14,12 @@ needs them, where the physics of a whole tick would have driven them out.
 from __future__ import annotations
 
 import re
+import time
 import traceback
+from collections import deque
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
@@ -25,14 +27,20 @@ from unicon_base.arrays import Float32
 from unicon_base.errors import UniconError
 from unicon_core.flow import Stage, compile_graph
 from unicon_core.flow.compiled import LABEL, CompiledGraph
+from unicon_core.memory import Library
+from unicon_core.memory import Snapshot as Remembered
 from unicon_core.platforms.platform import Changeable, DefersPhysics
 from unicon_core.runtime.phases import Phase
 from unicon_core.runtime.report import reason_of
 from unicon_core.states import States
+from unicon_core.states.states import Snapshot
 from unicon_core.workflow import Program, WorkflowDocument
 from unicon_core.workflow.hardware import read_scene
 from unicon_core.workflow.policies import GROUND
 from unicon_core.workflow.tick_tree import memory_of
+
+if TYPE_CHECKING:
+    from unicon_core.runtime.runner import Runner
 
 _CALLED = re.compile(r"\b(\w+)\(\)")
 
@@ -244,3 +252,99 @@ class Lockstep(Generic[T]):
                 else:
                     self._running.append(one)
         return ended
+
+
+BACK_S, EVERY_S = 60.0, 0.5
+"""How far back a `Rewind` goes, and between two of its moments, in [s] of ticks."""
+
+
+Moment = tuple[int, Snapshot, Remembered]
+"""A run between two ticks: number of the tick that follows, all states, the declared memory."""
+
+
+class Rewind:
+    """Keeps moments of a run on a simulator, and sets the run back to one of them.
+
+    A moment is kept in the slack before a tick, where that is half a period or twice what the last
+    one took: 0.3 ms and 8 kB with Go2 or G1, 1 MB in all. Whatever comes from outside (commands of
+    pages and topics, devices) is not repeated.
+
+    Args:
+        runner: of the run, before its first tick.
+        others: what else remembers and is set back, by label; each declares its memory.
+
+    Attributes:
+        why_not: why the run cannot be set back, "" where it can.
+    """
+
+    def __init__(self, runner: Runner, **others: Any) -> None:
+        self._runner, self._program, self._next = runner, runner.program, 0
+        self._every = max(1, round(EVERY_S / runner.program.period))
+        self._slack_ns = runner.period_ns // 2
+        self._kept = deque[Moment](maxlen=round(BACK_S / EVERY_S))
+        self.why_not = self._obstacle()
+        if not self.why_not:
+            others["platform"] = runner.program.platform
+            self._memory = memory_of(runner.program, runner.graphs(), **others)
+
+    def _obstacle(self) -> str:
+        program = self._program
+        platform, name = program.platform, repr(program.platform.facts.name)
+        if not platform.facts.simulated:
+            return f"platform {name} is a real robot, which cannot go back; use a simulator"
+        if not isinstance(platform, Library):
+            return f"platform {name} cannot save its state; use mujoco or fake"
+        if self._runner.options.native:
+            return "a native run cannot go back; leave out --native"
+        if program.states.num_robots is not None:
+            return "several robots cannot go back; leave out num_robots"
+        for name, contract in program.policies.items():
+            if contract.child is not None:
+                return f"policy {name!r} computes elsewhere; leave out its {contract.child.key}"
+        return ""
+
+    def __call__(self) -> None:
+        """Have a moment kept before the next tick, where one is due and there is time for it."""
+        runner = self._runner
+        count, due = runner.statistics.count, runner.next_due_ns
+        if count < self._next or self.why_not or runner.phase is not Phase.RUN:
+            return
+        if not due or due - time.perf_counter_ns() > self._slack_ns:
+            self._next = count + self._every
+            runner.call_soon(self._keep)
+
+    def _keep(self) -> None:
+        began, states, memory = time.perf_counter_ns(), self._program.states, self._memory
+        self._kept.append((int(states["tick"]), states.snapshot(), memory.take()))
+        for name, reason in memory.unproven.items():
+            self.why_not = f"block {name!r}: {reason}; unicon check says more"
+        took_ns = time.perf_counter_ns() - began  # on a busy machine that may be anything
+        self._slack_ns = min(2 * took_ns, self._runner.period_ns // 2)
+
+    def moment(self, tick: float) -> Moment:
+        """Return the newest moment up to a tick.
+
+        Raises:
+            UniconError: the run cannot be set back, or no moment is kept up to there.
+        """
+        phase, first = self._runner.phase, "later"
+        if self.why_not or phase is not Phase.RUN:
+            raise UniconError(self.why_not or f"the run is in phase {phase.value}, not in its flow")
+        for moment in reversed(self._kept):
+            if moment[0] <= tick:
+                return moment
+            first = f"{moment[0] * self._program.period:.2f} s"
+        raise UniconError(f"that time is not kept; choose one from {first} on")
+
+    def back(self, moment: Moment) -> None:
+        """Set the run back to a moment, between two ticks, and forget those behind it.
+
+        The flow is made fresh first, which records notice.
+        """
+        tick, states, memory = moment
+        while self._kept and self._kept[-1][0] > tick:
+            self._kept.pop()
+        self._runner.graph.reset()
+        self._memory.put_back(memory)
+        self._program.states.restore(states)
+        self._next = self._runner.statistics.count + self._every

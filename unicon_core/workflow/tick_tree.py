@@ -10,6 +10,7 @@ which is logged at every start and stands in the report.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 from unicon_base import AnyDict, UniconError, WorkflowError
 from unicon_core.flow import (
@@ -155,23 +156,19 @@ def _reads_command(nodes: list[Node]) -> bool:
     return any(COMMAND in block.reads for node in nodes for block in blocks_of(node))
 
 
-def memory_of(
-    program: ProgramData, graphs: Mapping[str, CompiledGraph], *, platform: bool = False
-) -> Memory:
+def memory_of(program: ProgramData, graphs: Mapping[str, CompiledGraph], **others: Any) -> Memory:
     """Return the memory of a program's own blocks and of the compiled ticks, all phases together.
 
     What came from outside is left out: devices and the hooks, whose doing is in the ticks, and the
-    platform, unless it is asked for.
+    platform.
 
     Args:
         program: its trees.
         graphs: phase to its compiled tick.
-        platform: whether that of a simulator counts, too.
+        others: what else counts, by label.
     """
     trees = [tree for tree in (program.root, program.wind_down) if tree is not None]
-    holders = {**holders_of(program, trees), "sent": program.gate.sent, **graphs}
-    if platform:
-        holders["platform"] = program.platform
+    holders = {**holders_of(program, trees), "sent": program.gate.sent, **graphs, **others}
     return Memory(holders, program.states.buffer)
 
 
