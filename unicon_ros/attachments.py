@@ -50,7 +50,8 @@ class Attachment:
         label: says in the operator's line what is there.
         drives: an operator can start and stop the run there.
         stays: it is closed once `watched` is False, others when the run has ended.
-        again: arguments that the command is run again with, once `watched` is False; () for no.
+        again: arguments of `unicon`, which replaces this process with them once `watched` is
+            False; () for no.
     """
 
     address, label, drives, stays = "", "", False, False

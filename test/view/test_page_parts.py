@@ -30,9 +30,8 @@ from unicon_lab.view.page.plots import (
     curves_of,
     element_choices,
     groups,
-    status_html,
 )
-from unicon_lab.view.page.sink import MOST
+from unicon_lab.view.page.sink import MOST, status_html
 from unicon_lab.view.shown import DEAD_MAN, GraphLine
 from unicon_lab.view.source import Wheel
 from unicon_ros.cli.main import _parser, main

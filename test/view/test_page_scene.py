@@ -114,13 +114,13 @@ def test_a_ghost_stands_at_the_targets_of_joints_that_are_held(stage: Any) -> No
     states = standing(stage, base_pos_w=(1.0, 2.0, 0.4), joint_stiffness=stiff)
     states["joint_pos_target"][:] += 0.3
     pose = stage.put(1, states)
-    position, _ = stage.ghost(states)
+    position, _ = stage.ghost(states, pose)
     assert np.allclose(position, pose.position)
-    position, _ = stage.ghost({"joint_pos": states["joint_pos"]})  # of a bag that has no more
+    position, _ = stage.ghost({"joint_pos": states["joint_pos"]}, pose)  # of a bag that has no more
     assert np.allclose(position, pose.position)
     states["joint_stiffness"][1:3] = 20.0
     states["joint_pos_target"][2] = np.nan
-    position, quat = stage.ghost(states)
+    position, quat = stage.ghost(states, pose)
     moved = np.abs(quat - pose.quat).max(axis=1) > 1e-3
     names = {stage._model.body(int(body)).name[:3] for body in np.flatnonzero(moved)}
     assert names == {"FL_"} or names == {"FR_"}

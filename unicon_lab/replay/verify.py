@@ -241,6 +241,12 @@ def verify(record: Record, document: WorkflowDocument, native: bool = False) -> 
         ),
         *(f"{n} ticks {which} cannot be replayed" for which, n in replayed.skipped.items()),
     ]
+    numbers, phases = record.ticks, record.phases
+    notes += [
+        f"the run was set back from tick {numbers[row] + 1} to tick {numbers[row + 1]}: a branch"
+        for row in np.flatnonzero(np.diff(numbers) <= 0)
+        if phases[row] == phases[row + 1]
+    ]
     if not ticks:
         raise StateError(f"nothing in the record can be replayed: {'; '.join(notes)}")
     notes += replayed.columns.lacking

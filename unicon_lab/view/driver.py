@@ -19,6 +19,7 @@ from unicon_core.flow import Block, Stage
 from unicon_core.models.frames import yaw_of
 from unicon_core.platforms.platform import Pushable, TakesForces
 from unicon_core.runtime.phases import Phase
+from unicon_core.runtime.rollouts import Rewind
 from unicon_core.states import States
 from unicon_core.states.standard import EXTERNAL_FORCE, EXTERNAL_PUSH, external_states
 from unicon_core.workflow import HookBlocks, Program
@@ -44,6 +45,7 @@ LONGEST = 1000
 """Of names and answers, in [B]."""
 
 _ACTS = ("start", "stop", "reset", "pause", "step", "swap")
+_OTHERS = ("skill", "push", "set_parameter", "branch")
 
 
 SHARE, REACH = 0.5, 0.5
@@ -126,6 +128,8 @@ class Driver:
         self.driving = 0
         self._peripheral: Peripheral | None = None
         self._runner: Runner | None = None
+        self._rewind: Rewind | None = None
+        self._stands = False  # between two ticks
         self._skills = skills_of(program)
         self._pull: Callable[[bool], None] = _nothing
         states, platform = program.states, program.platform
@@ -137,6 +141,7 @@ class Driver:
     def attach(self, peripheral: Peripheral, runner: Runner) -> None:
         """Get to know the viewer's process, and the run."""
         self._peripheral, self._runner = peripheral, runner
+        self._rewind = Rewind(runner, tuning=self._tuning)
         peripheral.heard = self._act
 
     def blocks(self) -> HookBlocks:
@@ -178,6 +183,8 @@ class Driver:
         """
         self._left[0] = self._often
         peripheral, runner = self._peripheral, self._runner
+        if self._rewind is not None:
+            self._rewind()
         if peripheral is None or runner is None or not peripheral():
             return
         self._take(peripheral)
@@ -194,7 +201,9 @@ class Driver:
         """
         if self._peripheral is not None:
             self._peripheral()
+            self._stands = True
             self._take(self._peripheral)
+            self._stands = False
             self.stop_if_pressed()
 
     def _take(self, peripheral: Peripheral) -> None:
@@ -279,11 +288,13 @@ class Driver:
             return self._wish_push([float(x) for x in arguments["velocity"]])
         if name == "skill":
             return self._skill(str(arguments["name"])[:LONGEST])
+        if name == "branch":
+            return self._branch(float(arguments["tick"]), str(arguments["then"])[:LONGEST])
         if name == "set_parameter":
             return self._set(str(arguments["name"]), float(arguments["value"]))
         return (
             False,
-            f"no act {name!r}; {alternatives(name, (*_ACTS, 'skill', 'push', 'set_parameter'))}",
+            f"no act {name!r}; {alternatives(name, (*_ACTS, *_OTHERS))}",
         )
 
     def _wish_push(self, velocity: list[float]) -> Answer:
@@ -302,6 +313,26 @@ class Driver:
             return False, f"no skill {name!r}; {alternatives(name, there)}"
         reason = skills.ask(name)
         return not reason, f"refused: {reason}" if reason else f"{name} from the next tick on"
+
+    def _branch(self, tick: float, then: str) -> Answer:
+        """Let the run go on from the newest moment that is kept up to a tick.
+
+        Parameters are those of today; `then` swaps policies there, or is a skill that takes over.
+        """
+        runner, rewind = self._runner, self._rewind
+        if runner is None or rewind is None:
+            return False, "nothing runs"
+        moment, period, program = rewind.moment(tick), self._program.period, self._program
+        text = f"the run goes on from {moment[0] * period:.2f} s"
+
+        def back() -> None:
+            left = int(program.states["tick"]) * period
+            rewind.back(moment)
+            change = then and (self._controls.swap() if then == "swap" else self._skill(then))[1]
+            program.tell(f"viewer: {text}, set back from {left:.2f} s {change}".rstrip())
+
+        back() if self._stands else runner.call_soon(back)
+        return True, text
 
     def _set(self, name: str, value: float) -> Answer:
         tuning = self._tuning

@@ -118,6 +118,7 @@ class Shown:
         bodies: names of the simulated bodies by their numbers, where a viewer may drag them.
         pushes: the base of a simulated robot may be pushed.
         names: of elements of states, as of `term_names`.
+        records: the run leaves a recording.
     """
 
     workflow: str
@@ -140,6 +141,7 @@ class Shown:
     bodies: tuple[str, ...] = ()
     pushes: bool = False
     names: Names = field(default_factory=dict)
+    records: bool = False
 
     def tell(self, values: Mapping[str, float]) -> None:
         """Note the present values of parameters; in a viewer's process."""

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol
 from urllib.parse import urlsplit
 
@@ -148,7 +150,7 @@ class Fed(Attachment):
     """Of sending texts, in [s]."""
     kept = KEPT_S
     """Of ticks in the ring, in [s]."""
-    driving = paused = 0
+    _recorded, driving, paused = "", 0, 0
 
     def __init__(self, warn: TextSink, session: RosSession | None) -> None:
         self.warn, self.address, self._session = warn, "", session
@@ -199,7 +201,7 @@ class Fed(Attachment):
         ticks = max(FEWEST, min(round(self.kept / runner.program.period), LARGEST // size))
         ring = self._ring = FrameRing.create(size, ticks)
         ring.touch()
-        data = {"shown": shown, "ring": str(ring.path)}
+        data = {"shown": replace(shown, records=bool(self._recorded)), "ring": str(ring.path)}
         given = {"name": self.label, "options": options, "data": data}
         try:
             process = Peripheral(told, told.layout, PROCESS, given, {}, stale, period, self.warn)
@@ -342,10 +344,8 @@ class View(Fed):
             return False
         self._tell(peripheral)
         peripheral.listen()
-        if self.again:
-            return False
         self._seen = now if self._pages else self._seen
-        return now - self._seen < STAYS
+        return not self.again and now - self._seen < STAYS
 
     def _heard(self, told: AnyDict) -> None:
         """Take how many pages are open; a viewer's wishes go to the driver while there is a run."""
@@ -353,14 +353,29 @@ class View(Fed):
             self._pages = int(told["pages"])
         elif self._end and "act" in told and self._peripheral is not None:
             act, number, _ = told["act"]
-            simulated, text = self._runner.program.platform.facts.simulated, "the run has ended"
-            if act == "again" and simulated and not self._recorded:
-                self.again = ("--view-port", str(self._options["port"]))
-            elif act == "again":
-                text = f"{self._recorded} is there" if simulated else "a robot is started by hand"
-            self._peripheral.wish("answer", number, bool(self.again), text)
+            text = self._wished(str(act))
+            self._peripheral.wish("answer", number, bool(self.again), short(text, LONGEST // 4))
         else:
             self._act(told)
+
+    def _wished(self, act: str) -> str:
+        """Let another run or the recording take the page over; return what to answer."""
+        if act == "again":
+            simulated = self._runner.program.platform.facts.simulated
+            if self._recorded or not simulated:
+                return f"{self._recorded} is there" if simulated else "a robot is started by hand"
+            self.again = (*sys.argv[1:], f"--view-port={self._options['port']}")
+        elif act == "recording" and self._recorded:
+            from unicon_lab.recording import open_record
+            from unicon_lab.view.recorded import RecordedSource, shown_in
+
+            try:
+                RecordedSource(record := open_record(self._recorded), shown_in(record)[0])
+            except UniconError as error:
+                return f"{self._recorded} is not shown: {error}"
+            given = (f"--view-{n}={self._options[n]}" for n in ("host", "port", "token", "fps"))
+            self.again = ("view", self._recorded, *given)
+        return "the run has ended"
 
     def close(self) -> None:
         """Send the last texts, and end the viewer's process; once the run has ended.

@@ -66,8 +66,7 @@ def run_document(arguments: argparse.Namespace, document: WorkflowDocument) -> i
         close_session(ended.session, status)
     for each in ended.attachments:
         if each.again and not SIGNALS.asked:
-            command = [sys.executable, "-m", "unicon_ros", *sys.argv[1:], *each.again]
-            os.execv(sys.executable, command)
+            os.execv(sys.executable, [sys.executable, "-m", "unicon_ros", *each.again])
     return status
 
 

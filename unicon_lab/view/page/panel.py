@@ -11,6 +11,7 @@ from unicon_lab.view.page.plots import (
     ALL,
     COMMANDED,
     MEASURED,
+    PLOTTED,
     STYLE,
     TIMES,
     VELOCITY,
@@ -22,7 +23,8 @@ from unicon_lab.view.page.plots import (
 from unicon_lab.view.page.scene import Scene
 from unicon_lab.view.shown import GraphLine, Parameter, Shown
 
-NONE = "nothing"
+NONE, _SAME = "nothing", "what drove then"
+_HERE = "The run goes on from the last half second before, with today's parameters"
 PANEL = 300
 """Width of the panel at the right in [px]."""
 _WIDE = 1050  # [px]: a narrower page has narrower plots
@@ -69,14 +71,14 @@ class Chart:
         _on(self._state.on_update, lambda _: self._changed.add("state"))
         _on(self._elements.on_update, lambda _: self._changed.add("elements"))
 
-    def refresh(self, seconds: float) -> None:
-        """Draw the newest curves, anew where something else is chosen."""
+    def refresh(self, seconds: float, until: float) -> None:
+        """Draw the curves of so long up to a time in [s], anew where something else is chosen."""
         if self._changed:
-            self._build(seconds)
+            self._build(seconds, until)
         elif self._chart is not None:
-            self._chart.data = self._plot.data(seconds)
+            self._chart.data = self._plot.data(seconds, until)
 
-    def _build(self, seconds: float) -> None:
+    def _build(self, seconds: float, until: float) -> None:
         changed, self._changed = self._changed, set()
         layout, state, elements = self._shown.layout, self._state.value, self._elements
         if "state" in changed:
@@ -92,7 +94,7 @@ class Chart:
             return
         with self._folder:
             self._chart = self._gui.add_uplot(
-                plot.data(seconds),
+                plot.data(seconds, until),
                 plot.series(),
                 title=plot.title,
                 scales={"x": {"time": False}},
@@ -112,12 +114,14 @@ class Panel:
         client: viser's handle.
         shown, history, scene: what is seen.
         number: of the viewer.
-        do: is told what the viewer does: `take`, `let_go`, `steer` (velocity), `estop`, `act`
-            (name, arguments), `seek` (time), `play` (bool), `speed` (factor).
+        do: is told what the viewer does: `wheel`, `steer` (velocity), `estop`, `act` (name,
+            arguments), `past` (time), `live`, `branch` (then); in a recording `seek` (time),
+            `play`, `speed` (factor).
         span: first and last moment of a recording in [s]; None of a live run.
 
     Attributes:
-        stop: viser's button behind the large e-stop; None in a recording.
+        stop, live: viser's buttons behind the large e-stop, and from the past to the present; None
+            in a recording.
     """
 
     def __init__(
@@ -131,18 +135,18 @@ class Panel:
         span: tuple[float, float] | None,
     ) -> None:
         self._gui, self._do, self._shown = client.gui, do, shown
-        self._html: dict[int, str] = {}
         gui = client.gui
         self.dark(False)
         gui.set_panel_label(f"{shown.workflow} · {shown.robot.name} · {shown.platform}")
         gui.main_panel.dock_right()
         gui.main_panel.set_width(PANEL)
         self.stop: Any = None
+        self.live: Any = None
+        self._then, self._offers = list[Any](), list[Any]()
         self.status = gui.add_html("")
         _on(gui.add_button("Plots", color="gray").on_click, self._plot)
         self.sliders: list[Any] = []
         self._wheel: Any = None
-        self._again: Any = None
         self.time: Any = None
         self.play: Any = None
         if span is None:
@@ -168,7 +172,7 @@ class Panel:
                     self._parameter(gui, name, parameter)
         self.plots = gui.add_panel(visible=False)
         with self.plots.add_tab("Plots"):
-            self.window = gui.add_slider("last [s]", 1.0, 12.0, 1.0, 6.0)
+            self.window = gui.add_slider("last [s]", 1.0, PLOTTED, 1.0, 6.0)
             last = TIMES if span is None else "joint_effort"  # a recording's ticks are not timed
             self.charts = [
                 Chart(gui, shown, history, first) for first in (VELOCITY, "joint_pos", last)
@@ -181,16 +185,25 @@ class Panel:
         """Colour the page for light or dark surroundings."""
         self._gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False)
 
-    def tell(self, widget: Any, text: str) -> None:
-        """Set a text, where it is another one than before."""
-        if self._html.get(id(widget)) != text:
-            self._html[id(widget)] = text
-            widget.content = text
-
     def again(self, ended: bool) -> None:
-        """Offer to run a simulation again that has ended."""
-        if self._again is not None and self._again.visible != ended:
-            self._again.visible = ended
+        """Offer what can be done with a run that has ended."""
+        for button in self._offers:
+            button.visible = ended
+
+    def past(self, span: tuple[float, float], past: float | None) -> str:
+        """Show what can be seen of the past, and what is; return how long ago that was, in words.
+
+        Args:
+            span: times of the oldest and the newest tick in [s].
+            past: time that is shown, None for the present.
+        """
+        first, now = span
+        if self.live is not None and first < now:
+            self.time.min, self.time.max = round(first, 2), round(now, 2)
+            self.show_time(now if past is None else past, False)
+        for each in self._then:
+            each.visible = past is not None
+        return "" if past is None else f"PAST: {min(now - past, now - first):.1f} s ago ▸ live"
 
     def wheel(self, driver: int | None, number: int) -> None:
         """Show whether this viewer may take the wheel."""
@@ -201,33 +214,40 @@ class Panel:
             label = "Let go of the wheel"
         elif driver is not None:
             label = f"Viewer {driver} drives"
-        if self._wheel.label != label:
-            self._wheel.label = label
-            self._wheel.color = "orange" if mine else "blue"
-            self._wheel.disabled = driver is not None and not mine
-            for slider in self.sliders:
-                slider.disabled = not mine
+        self._wheel.label = label
+        self._wheel.color = "orange" if mine else "blue"
+        self._wheel.disabled = driver is not None and not mine
+        for slider in self.sliders:
+            slider.disabled = not mine
 
     def show_velocity(self, velocity: Any) -> None:
         """Put the sliders where the commanded velocity is."""
         for slider, value in zip(self.sliders, velocity):
-            value = round(float(value), 2)
-            if abs(slider.value - value) > 1e-3:
-                slider.value = value
+            slider.value = round(float(value), 2)
 
     def show_time(self, moment: float, plays: bool) -> None:
         """Show where a recording is, and what its button does."""
         if self.time is not None and abs(self.time.value - moment) > 0.04:
             self.time.value = round(moment, 2)
-        label = "Pause" if plays else "Play"
-        if self.play is not None and self.play.label != label:
-            self.play.label = label
+        if self.play is not None:
+            self.play.label = "Pause" if plays else "Play"
 
     # -- parts ----------------------------------------------------------------------------------
 
     def _live(self, gui: Any, number: int) -> None:
         self.stop = self._button(gui, "E-STOP", "estop", "red", visible=False)
         shown = self._shown
+        with gui.add_folder("Last minute"):
+            self.time = gui.add_slider("time [s]", 0.0, 0.02, 0.02, 0.0)
+            _on(self.time.on_update, lambda _: self._do("past", self.time.value))
+            self.live = self._button(gui, "Back to live", "live", "orange", visible=False)
+            self._then.append(self.live)
+            if shown.simulated:
+                known = (_SAME, *(["swap"] if shown.swaps else ()), *shown.skills)
+                then = gui.add_dropdown("driven by", known, visible=False)
+                button = gui.add_button("Branch here", color="blue", visible=False, hint=_HERE)
+                self._then += [button, then] if len(known) > 1 else [button]
+                _on(button.on_click, lambda _: self._do("branch", then.value.removeprefix(_SAME)))
         drag = " Who drives drags bodies." if shown.bodies else ""
         if shown.drives or shown.pushes or shown.bodies:
             with gui.add_folder("Drive"):
@@ -248,13 +268,19 @@ class Panel:
             self._acts(gui, "start", "stop")
             if shown.simulated:
                 self._acts(gui, "pause", "step", "reset")
-                self._again = gui.add_button("Run again", color="blue", visible=False)
-                _on(self._again.on_click, lambda _: self._do("act", "again", {}))
+                self._offer(gui, "Run again", "again")
+            if shown.records:
+                self._offer(gui, "Open recording", "recording")
             if shown.swaps:
                 self._acts(gui, "swap")
             if shown.skills:
                 group = gui.add_button_group("skill", shown.skills)
                 _on(group.on_click, lambda e: self._do("act", "skill", {"name": e.target.value}))
+
+    def _offer(self, gui: Any, label: str, act: str) -> None:
+        button = gui.add_button(label, color="blue", visible=False)
+        self._offers.append(button)
+        _on(button.on_click, lambda _: self._do("act", act, {}))
 
     def _plot(self, _: Any) -> None:
         self.plots.visible = opens = not self.plots.visible

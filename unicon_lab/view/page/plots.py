@@ -8,14 +8,16 @@ from html import escape
 
 import numpy as np
 
-from unicon_base import AnyDict, AnyMapping
+from unicon_base import AnyMapping
 from unicon_base.arrays import Float32, Float64
 from unicon_core.states import Layout
-from unicon_lab.view.shown import Shown
 from unicon_lab.view.source import Snapshot
 
-SECONDS = 12.0
-"""So much is kept, in [s]."""
+SECONDS = 60.0
+"""So much is kept, in [s]: about 20 MB for a robot of 30 joints."""
+
+PLOTTED = 12.0
+"""So much a plot shows at most, in [s]."""
 
 _RATE = 100.0  # rows a second at most; a page has fewer pixels
 _WIDEST = 128  # elements; a wider state is a picture, not a curve
@@ -49,30 +51,31 @@ class History:
                 self.columns[name] = slice(width, width + spec.size)
                 width += spec.size
         self._states = [(name, where) for name, where in self.columns.items()][len(TIMING) :]
-        self._rows = np.zeros((2 * rows, width), np.float32)
-        self._time = np.zeros(2 * rows)
-        self._half, self._count, self._worst = rows, 0, (0.0, 0.0)
+        self._shapes = {name: layout.specs[name].shape for name, _ in self._states}
+        room = rows + max(rows // 4, 1)  # the rows move once in a quarter of the time
+        self._rows, self._time = np.zeros((room, width), np.float32), np.zeros(room)
+        self._kept, self._count, self._worst = rows, 0, (0.0, 0.0)
         self._since = 0
 
     def clear(self) -> None:
-        """Forget all, as at a reset."""
+        """Forget all."""
         self._count = self._since = 0
 
     def take(self, tick: Snapshot) -> None:
-        """Add a tick; one that is earlier than the last row begins anew."""
+        """Add a tick, in the place of all that are not earlier: the run went back, or pauses."""
         moment = tick.tick * self._period
-        if self._count and moment < self._time[self._count - 1]:
-            self.clear()
+        if self._count and moment <= self._time[self._count - 1]:
+            self._count, self._since = self._until(moment), self._stride
         late, busy = self._worst if self._since else (0.0, 0.0)
         self._worst = max(late, tick.late_ns * 1e-6), max(busy, tick.busy_ns * 1e-6)
         self._since += 1
         if self._since < self._stride and self._count:
             return
         self._since = 0
-        if self._count == 2 * self._half:
-            self._rows[: self._half] = self._rows[self._half :]
-            self._time[: self._half] = self._time[self._half :]
-            self._count = self._half
+        if self._count == len(self._time):
+            self._rows[: self._kept] = self._rows[-self._kept :]
+            self._time[: self._kept] = self._time[-self._kept :]
+            self._count = self._kept
         row = self._rows[self._count]
         row[: len(TIMING)] = self._worst
         for name, where in self._states:
@@ -80,11 +83,35 @@ class History:
         self._time[self._count] = moment
         self._count += 1
 
-    def last(self, seconds: float) -> tuple[Float64, Float32]:
-        """Return times in [s], shape (m,), and rows, shape (m, width); views, the newest last."""
-        time = self._time[: self._count]
-        first = int(np.searchsorted(time, time[-1] - seconds)) if self._count else 0
-        return time[first:], self._rows[first : self._count]
+    def _until(self, moment: float) -> int:
+        """Return how many rows are earlier than a time in [s]."""
+        return int(np.searchsorted(self._time[: self._count], moment))
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Times of the oldest row and of the newest in [s], `SECONDS` apart at most."""
+        if not self._count:
+            return 0.0, 0.0
+        return float(self._time[max(self._count - self._kept, 0)]), float(
+            self._time[self._count - 1]
+        )
+
+    def last(self, seconds: float, until: float = np.inf) -> tuple[Float64, Float32]:
+        """Return times in [s], shape (m,), and rows, shape (m, width); views, the newest last.
+
+        Args:
+            seconds: how far they go back.
+            until: time of the newest at most, in [s]; one row is always there.
+        """
+        end = max(self._until(until + 0.5 * self._period), min(self._count, 1))
+        time = self._time[:end]
+        first = self._until(time[-1] - seconds) if end else 0
+        return time[first:], self._rows[first:end]
+
+    def at(self, moment: float) -> tuple[float, dict[str, Float32]]:
+        """Return the time of the newest row up to a time, both in [s], and its states; views."""
+        time, rows = self.last(0.0, moment)
+        return float(time[-1]), {n: rows[-1, w].reshape(self._shapes[n]) for n, w in self._states}
 
 
 ALL = "all elements"
@@ -251,9 +278,9 @@ class Plot:
         self.curves = curves_of(layout, history, state, chosen, period)
         self.title, self.unit = title_of(layout, state, chosen), unit_of(layout, state)
 
-    def data(self, seconds: float) -> tuple[Float64, ...]:
-        """Return times in [s] and one array for each curve, at most `POINTS` long each."""
-        time, rows = self._history.last(seconds)
+    def data(self, seconds: float, until: float = np.inf) -> tuple[Float64, ...]:
+        """Return times up to one in [s] and an array for each curve, at most `POINTS` long each."""
+        time, rows = self._history.last(seconds, until)
         stride = max(1, -(-len(time) // POINTS))
         offset = (len(time) - 1) % stride  # the newest is always there
         time, rows = time[offset::stride], rows[offset::stride]
@@ -317,72 +344,3 @@ def table(rows: Mapping[str, str]) -> str:
         for name, value in rows.items()
     )
     return f'<div style="{STYLE}"><table>{cells}</table></div>'
-
-
-def status_html(
-    shown: Shown,
-    tick: Snapshot,
-    history: History,
-    rate: float,
-    texts: AnyDict,
-    driver: str,
-    stale: float,
-) -> tuple[str, str, bool]:
-    """Return how the run is: phase, timing against the deadline, faults, gates, who drives.
-
-    As HTML, in a few words for the place beside the e-stop, and whether something is wrong.
-
-    Args:
-        shown: the run.
-        tick: its newest one.
-        history: of late.
-        rate: ticks a second as they come.
-        texts: of the source; `timed` False where nobody has timed its ticks.
-        driver: who drives, in words.
-        stale: time since the newest tick came, in [s].
-    """
-    _, rows = history.last(2.0)
-    late, busy = (rows[:, history.columns[name].start] for name in TIMING)
-    phase = shown.phases[tick.phase] if tick.phase < len(shown.phases) else str(tick.phase)
-    brief = phase + (", paused" if tick.paused else "")
-    found = {"phase": f"<b>{escape(phase)}</b>{brief.removeprefix(phase)}"}
-    faults, silent = list(map(str, texts.get("faults", ()))), stale > 1.0 and not tick.paused
-    if ended := str(texts.get("ended", "")):
-        silent, brief = False, f"ended: {ended}"
-        found["phase"] = f"<b>{escape(brief)}</b>"
-    if silent:
-        silence = f"no tick for {stale:.0f} s"
-        found["phase"] += f" {_red(silence)}"
-        brief += f": {silence}"
-    brief += f"\n{tick.tick * shown.period:.1f} s"
-    if texts.get("waits_for"):
-        brief += f"\nwaits for {texts['waits_for']}"
-        found["waits for"] = f'<b style="color:#e8590c">{escape(texts["waits_for"])}</b>'
-    if "skill" in tick.states and shown.skills:
-        number = int(tick.states["skill"].reshape(-1)[0])
-        name = shown.skills[number] if 0 <= number < len(shown.skills) else "none"
-        found["skill"] = f"<b>{escape(name)}</b>"
-    found["tick"] = f"{tick.tick} · {tick.tick * shown.period:.1f} s"
-    if texts.get("timed", True):
-        brief += f" · {rate:.0f} Hz"
-        found["rate"] = f"{rate:.1f} Hz, wanted {1.0 / shown.period:.1f} Hz"
-        if len(rows):
-            deadline = shown.period * 1e3
-            p50, p99 = np.percentile(busy, (50, 99))
-            share = f"{100.0 * p99 / deadline:.0f} % of the deadline of {deadline:g} ms"
-            found["busy"] = f"p50 {p50:.2f} ms, p99 {p99:.2f} ms: {share}"
-            found["late"] = f"p99 {np.percentile(late, 99):.2f} ms, max {late.max():.2f} ms"
-        overruns = f"{tick.overruns}"
-        found["overruns"] = _red(overruns) if tick.overruns else overruns
-    if driver:
-        found["driver"] = escape(driver)
-    if faults:
-        brief = f"ended: {faults[0]}" if ended else faults[0]
-        found["fault"] = "<br>".join(map(_red, faults))
-    if notes := texts.get("notes"):
-        found["notes"] = "<br>".join(escape(str(note)) for note in notes[-3:])
-    return table(found), brief, bool(faults) or silent
-
-
-def _red(text: str) -> str:
-    return f'<span style="color:#e03131;font-weight:600">{escape(text)}</span>'

@@ -88,7 +88,7 @@ class Stage:
         self._touching = FootContacts(self._posed, feet, shown.terrain is not None)
         base = loaded.base
         self._body = 1 if base is None else int(loaded.model.jnt_bodyid[base])
-        self.pose = Pose(loaded.model.nbody)
+        self.pose, self._then = (Pose(loaded.model.nbody) for _ in range(2))
         self._target: PosedModel | None = None
         self._path = np.zeros((_LONGEST, 3), np.float32)
         self._points, self._tick, self._above = 0, -1, 0.0
@@ -120,6 +120,16 @@ class Stage:
         if tick < self._tick or stamp < self._stamp - _BACK:  # a reset
             self._points = 0
         self._tick, self._stamp = tick, stamp
+        self._fill(pose, states)
+        self._walk(pose.base)
+        return pose
+
+    def past(self, states: Mapping[str, Array]) -> Pose:
+        """Return where everything was with other states; the newest pose and the path stay."""
+        self._fill(self._then, states)
+        return self._then
+
+    def _fill(self, pose: Pose, states: Mapping[str, Array]) -> None:
         joints = np.nan_to_num(np.asarray(states["joint_pos"], float))
         data = self._stand(joints, self._base(states))
         pose.position[...], pose.quat[...] = data.xpos, data.xquat
@@ -137,16 +147,14 @@ class Stage:
             force, point = states[EXTERNAL_FORCE], states[f"{EXTERNAL_FORCE}_point"]
             pose.newton = float(np.linalg.norm(force))
             pose.arrows[_FORCE] = point, point + 0.4 * self.size * force / max(pose.newton, _WHOLE)
-        self._walk(pose.base)
-        return pose
 
     def held(self, body: int, point: ArrayLike) -> Float64:
         """Return where a point of the world is in the frame of a body, in [m], shape (3,)."""
         turned = rotation(self.pose.quat[body])
         return np.asarray((np.asarray(point) - self.pose.position[body]) @ turned)
 
-    def ghost(self, states: Mapping[str, Array]) -> tuple[Float64, Float64]:
-        """Return positions and quaternions of bodies at `joint_pos_target`, on the base of `pose`.
+    def ghost(self, states: Mapping[str, Array], pose: Pose) -> tuple[Float64, Float64]:
+        """Return positions and quaternions of bodies at `joint_pos_target`, on the base of a pose.
 
         Joints without stiffness, or without targets in a recording of others, are where they are
         measured.
@@ -158,7 +166,7 @@ class Stage:
         held = np.isfinite(target) & (states.get("joint_stiffness", 1.0) > 0.0)
         joints = np.where(held, target, np.nan_to_num(measured))
         base = self._body
-        place = np.concatenate([self.pose.position[base], self.pose.quat[base]])
+        place = np.concatenate([pose.position[base], pose.quat[base]])
         data = self._target.put(joints, place)
         return data.xpos, data.xquat
 
@@ -281,7 +289,7 @@ class Scene:
         if self._ghost is not None:
             self._ghost.root.visible = self.ghost
         if self._ghost is not None and self.ghost:
-            self._ghost.put(*stage.ghost(states))
+            self._ghost.put(*stage.ghost(states, pose))
         x, y = pose.base[:2].tolist() if self.follow else (0.0, 0.0)
         if (x, y) != self._middle:
             self._middle = x, y
@@ -327,6 +335,32 @@ class Scene:
     def placed(self, point: Sequence[float]) -> Float64:
         """Return where a point of viser's scene is in the world, in [m], shape (3,)."""
         return np.add(point, (*self._middle, 0.0))
+
+
+_PHONE, _SHEET, _BAR = 576, 0.2, 0.03
+"""Width up to which viser shows panels as a sheet below [px]; by what parts of the view that sheet
+moves the middle up, and elsewhere the e-stop moves it down."""
+_FIELD, _SIDE = 0.75, np.array((0.64, -0.68, 0.35))
+"""Angle of view [rad], and direction in which the camera stands."""
+
+
+def aim(camera: Any, stage: Stage, taken: float) -> Float64:
+    """Let the robot fill what panels leave of a viewer's view; return the camera's place.
+
+    Args:
+        camera: viser's, which knows the size of the view.
+        stage: knows that of the robot.
+        taken: of the view by a panel that comes, in [px].
+    """
+    width, height = int(camera.image_width), max(int(camera.image_height), 1)
+    phone, slope = width <= _PHONE, float(np.tan(0.5 * _FIELD))
+    aspect = max(width - (0 if phone else taken), 1) / height
+    distance = 0.56 * stage.size / np.sin(np.arctan(slope * min(aspect, 1.0)))
+    below = 2.0 * slope * distance * (_SHEET if phone else -_BAR)
+    camera.fov = _FIELD
+    camera.position = stage.middle + distance * _SIDE - (0.0, 0.0, below)
+    camera.look_at = stage.middle - (0.0, 0.0, below)  # behind the position, which moves it
+    return np.array(camera.position)
 
 
 def _squares() -> Float32:

@@ -1,5 +1,5 @@
 // What viser's page lacks: a large e-stop, a heartbeat, gamepad and keys.
-// Runs in the page at each connection, with `given`: {stop, beat}, ids of two of its widgets.
+// Runs in the page at each connection, with `given`: {stop, live, beat}, ids of its widgets.
 const page = (window.uniconPage ??= { stops: 0, held: new Set() });
 Object.assign(page, given);
 page.asked = performance.now();
@@ -20,6 +20,10 @@ if (!page.ready) {
     page.fast = event.shiftKey;
     page.held.delete(event.key.toLowerCase());
   });
+  // viser prevents the default of a drag in a passive listener, which browsers call an error.
+  addEventListener("pointerdown", (event) => {
+    if (event.target.tagName === "CANVAS") event.preventDefault = () => {};
+  }, true);
   addEventListener("blur", () => page.held.clear());
   document.addEventListener("visibilitychange", () => page.held.clear());
 
@@ -69,6 +73,9 @@ if (!page.ready) {
       padding: 0 14px; white-space: nowrap }
     #unicon-status { max-height: 54px; overflow: hidden; padding: 4px 10px; border-radius: 10px;
       background: var(--mantine-color-body); white-space: pre-line; align-self: center }
+    #unicon-past { position: absolute; top: 60px; left: 50%; transform: translateX(-50%);
+      height: 32px; border: 0; border-radius: 10px; background: #e8590c; color: #fff;
+      font: bold 14px system-ui, sans-serif; padding: 0 14px; white-space: nowrap; cursor: pointer }
     @media (max-width: 576px) {
       [style*="width: 20em"] { width: 100% !important }
       [style*="max-height: 60%"] { max-height: 42% !important }
@@ -80,8 +87,13 @@ if (!page.ready) {
   button.id = "unicon-estop";
   const status = document.createElement("div");
   status.id = "unicon-status";
-  page.brief = (text, fault, over) => {
+  const past = document.createElement("button");
+  past.id = "unicon-past";
+  past.title = "Shows the past: click for the present";
+  past.onclick = () => send(page.live, true);
+  page.brief = (text, fault, over, ago) => {
     status.textContent = text;
+    past.textContent = ago;
     page.over = over;
     status.style.color = fault ? "#e03131" : "";
   };
@@ -90,7 +102,7 @@ if (!page.ready) {
     send(page.stop, true);
     page.look();
   };
-  bar.append(button, status);
+  bar.append(button, status, past);
   document.body.append(bar);
   page.look = () => {
     const hears = alive(), views = [...document.querySelectorAll("canvas")];
@@ -101,6 +113,7 @@ if (!page.ready) {
     bar.style.maxWidth = `${view.width - 12}px`;
     status.style.display = status.textContent && hears ? "" : "none";
     button.style.display = page.stop ? "" : "none";
+    past.style.display = past.textContent && hears ? "" : "none";
     button.style.background = !hears || page.over ? "#777" : page.stops ? "#7a0b0b" : "#d40000";
     button.textContent = !hears ? "NO CONNECTION" : page.over ? "RUN HAS ENDED" : page.stops ? "E-STOP pressed" : "E-STOP";
     button.title = hears

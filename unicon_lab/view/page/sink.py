@@ -8,11 +8,14 @@ import threading
 import time
 import warnings
 from collections import deque
+from html import escape
 from typing import Any
 
-from unicon_base import AnyMapping, UniconError, imported
+import numpy as np
+
+from unicon_base import AnyDict, AnyMapping, UniconError, imported
 from unicon_lab.view import PORT
-from unicon_lab.view.page.plots import SECONDS, History, status_html, table
+from unicon_lab.view.page.plots import PLOTTED, TIMING, History, table
 from unicon_lab.view.shown import Shown
 from unicon_lab.view.source import Remote, Snapshot, Source, Wheel
 from unicon_ros.web_front import check_reach, listening, netloc, refusal
@@ -97,6 +100,8 @@ class Page:
         tick = self._source.latest()
         if tick is not None and tick.handle != self._handle:
             self._take(tick.handle, now)
+            if self._ticks and tick.tick < self._ticks[-1][1]:  # it went back
+                self._ticks.clear()
             self._ticks.append((now, tick.tick))
             self._seen = now
         while self._ticks and now - self._ticks[0][0] > _RATE:
@@ -165,7 +170,7 @@ class Page:
         """Take the ticks that have come into the history."""
         if handle < self._handle:
             self._history.clear()
-            self._handle = max(handle - round(SECONDS / self._shown.period), 0)
+            self._handle = max(handle - round(PLOTTED / self._shown.period), 0)
         for tick in self._source.since(self._handle):
             self._history.take(tick)
         self._handle = handle
@@ -225,3 +230,72 @@ class Page:
                 self._plays = not self._plays
                 if self._time >= self._source.span[1]:
                     self._time = self._source.span[0]
+
+
+def status_html(
+    shown: Shown,
+    tick: Snapshot,
+    history: History,
+    rate: float,
+    texts: AnyDict,
+    driver: str,
+    stale: float,
+) -> tuple[str, str, bool]:
+    """Return how the run is: phase, timing against the deadline, faults, gates, who drives.
+
+    As HTML, in a few words for the place beside the e-stop, and whether something is wrong.
+
+    Args:
+        shown: the run.
+        tick: its newest one.
+        history: of late.
+        rate: ticks a second as they come.
+        texts: of the source; `timed` False where nobody has timed its ticks.
+        driver: who drives, in words.
+        stale: time since the newest tick came, in [s].
+    """
+    _, rows = history.last(2.0)
+    late, busy = (rows[:, history.columns[name].start] for name in TIMING)
+    phase = shown.phases[tick.phase] if tick.phase < len(shown.phases) else str(tick.phase)
+    brief = phase + (", paused" if tick.paused else "")
+    found = {"phase": f"<b>{escape(phase)}</b>{brief.removeprefix(phase)}"}
+    faults, silent = list(map(str, texts.get("faults", ()))), stale > 1.0 and not tick.paused
+    if ended := str(texts.get("ended", "")):
+        silent, brief = False, f"ended: {ended}"
+        found["phase"] = f"<b>{escape(brief)}</b>"
+    if silent:
+        silence = f"no tick for {stale:.0f} s"
+        found["phase"] += f" {_red(silence)}"
+        brief += f": {silence}"
+    brief += f"\n{tick.tick * shown.period:.1f} s"
+    if texts.get("waits_for"):
+        brief += f"\nwaits for {texts['waits_for']}"
+        found["waits for"] = f'<b style="color:#e8590c">{escape(texts["waits_for"])}</b>'
+    if "skill" in tick.states and shown.skills:
+        number = int(tick.states["skill"].reshape(-1)[0])
+        name = shown.skills[number] if 0 <= number < len(shown.skills) else "none"
+        found["skill"] = f"<b>{escape(name)}</b>"
+    found["tick"] = f"{tick.tick} · {tick.tick * shown.period:.1f} s"
+    if texts.get("timed", True):
+        brief += f" · {rate:.0f} Hz"
+        found["rate"] = f"{rate:.1f} Hz, wanted {1.0 / shown.period:.1f} Hz"
+        if len(rows):
+            deadline = shown.period * 1e3
+            p50, p99 = np.percentile(busy, (50, 99))
+            share = f"{100.0 * p99 / deadline:.0f} % of the deadline of {deadline:g} ms"
+            found["busy"] = f"p50 {p50:.2f} ms, p99 {p99:.2f} ms: {share}"
+            found["late"] = f"p99 {np.percentile(late, 99):.2f} ms, max {late.max():.2f} ms"
+        overruns = f"{tick.overruns}"
+        found["overruns"] = _red(overruns) if tick.overruns else overruns
+    if driver:
+        found["driver"] = escape(driver)
+    if faults:
+        brief = f"ended: {faults[0]}" if ended else faults[0]
+        found["fault"] = "<br>".join(map(_red, faults))
+    if notes := texts.get("notes"):
+        found["notes"] = "<br>".join(escape(str(note)) for note in notes[-3:])
+    return table(found), brief, bool(faults) or silent
+
+
+def _red(text: str) -> str:
+    return f'<span style="color:#e03131;font-weight:600">{escape(text)}</span>'

@@ -16,7 +16,7 @@ from viser import _messages
 from unicon_base import AnyDict
 from unicon_lab.view.page.panel import PANEL, Panel, graph_html
 from unicon_lab.view.page.plots import History
-from unicon_lab.view.page.scene import Pose, Scene, Stage
+from unicon_lab.view.page.scene import Pose, Scene, Stage, aim
 from unicon_lab.view.shown import Shown
 from unicon_lab.view.source import Remote, Snapshot, Wheel
 
@@ -65,31 +65,6 @@ def close_doors(server: Any) -> None:
         server._websock_server.unregister_handler(message)
 
 
-_PHONE, _SHEET, _BAR = 576, 0.2, 0.03
-"""Width up to which viser shows panels as a sheet below [px]; by what parts of the view that sheet
-moves the middle up, and elsewhere the e-stop moves it down."""
-_FIELD, _SIDE = 0.75, np.array((0.64, -0.68, 0.35))
-"""Angle of view [rad], and direction in which the camera stands."""
-
-
-def aim(camera: Any, stage: Stage, taken: float) -> None:
-    """Let the robot fill what panels leave of a viewer's view.
-
-    Args:
-        camera: viser's, which knows the size of the view.
-        stage: knows that of the robot.
-        taken: of the view by a panel that comes, in [px].
-    """
-    width, height = int(camera.image_width), max(int(camera.image_height), 1)
-    phone, slope = width <= _PHONE, float(np.tan(0.5 * _FIELD))
-    aspect = max(width - (0 if phone else taken), 1) / height
-    distance = 0.56 * stage.size / np.sin(np.arctan(slope * min(aspect, 1.0)))
-    below = 2.0 * slope * distance * (_SHEET if phone else -_BAR)
-    camera.fov = _FIELD
-    camera.position = stage.middle + distance * _SIDE - (0.0, 0.0, below)
-    camera.look_at = stage.middle - (0.0, 0.0, below)  # behind the position, which moves it
-
-
 Status = Callable[[Snapshot | None, str], tuple[str, str, bool]]
 
 
@@ -105,14 +80,15 @@ class PageConnection:
     Args:
         client: viser's handle.
         heard: is given what the page tells of itself, in another thread.
-        stop: viser's button behind the large one, None where there is nothing to stop.
+        stop, live: viser's buttons behind the large one, and behind that which leads from the past
+            to the present; None in a recording.
 
     Attributes:
         asked, answered: pictures sent, and those that the page has handled.
         takes: how long it takes of late to have one handled, in [s].
     """
 
-    def __init__(self, client: Any, heard: Callable[[AnyDict], None], stop: Any) -> None:
+    def __init__(self, client: Any, heard: Callable[[AnyDict], None], stop: Any, live: Any) -> None:
         self._connection = client._websock_connection
         self.asked = self.answered = 0
         self.takes = self._sent = 0.0
@@ -127,14 +103,15 @@ class PageConnection:
             if state is not None:
                 heard(state)
 
-        uuids = {"stop": stop and stop._impl.uuid, "beat": beat._impl.uuid}
+        uuids = {"stop": stop, "live": live, "beat": beat}
+        uuids = {name: each and each._impl.uuid for name, each in uuids.items()}
         script = files(__package__).joinpath("script.js").read_text("utf-8")
         self._connection.queue_message(
             _messages.RunJavascriptMessage(source=f"const given = {json.dumps(uuids)};\n{script}")
         )
 
     def brief(self, said: list[Any]) -> None:
-        """Show how the run is beside the e-stop: in words, whether badly, whether it has ended."""
+        """Show the run beside the e-stop: in words, whether badly, whether ended, how long ago."""
         source = f"uniconPage.brief(...{json.dumps(said)})"
         self._connection.queue_message(_messages.RunJavascriptMessage(source=source))
 
@@ -201,6 +178,7 @@ class Viewer:
         acts: numbers of its acts that have no answer yet.
         pictures: sent so far.
         ended: the run has ended.
+        past: time that is shown in place of the present in [s]; None for the present.
     """
 
     def __init__(
@@ -223,22 +201,19 @@ class Viewer:
         self._device = [0.0, 0.0, 0.0]
         self._said, self._dark, self._grips, self._stage = "", False, False, stage
         self._held, self._brief, self.ended = list[Any](), list[Any](), False
+        self._drawn, self._history = np.inf, history
+        self.past: float | None = None
         self._due, self._chart = dict[str, float](), 0
+        self._aimed = client.camera.position
         with client.atomic():
-            if stage is not None:
-                aim(client.camera, stage, PANEL)
+            self._aim(PANEL)
             self._scene = Scene(client.scene, stage)
             self.panel = Panel(client, shown, history, self._scene, number, self._do, span)
-            self.link = PageConnection(client, self._heard, self.panel.stop)
+            self.link = PageConnection(client, self._heard, self.panel.stop, self.panel.live)
             self.link.ask()
 
     def show(
-        self,
-        pose: Pose | None,
-        tick: Snapshot | None,
-        status: Status,
-        new: bool,
-        now: float,
+        self, pose: Pose | None, tick: Snapshot | None, status: Status, new: bool, now: float
     ) -> None:
         """Send a picture where one is due and the page has room for it.
 
@@ -251,21 +226,25 @@ class Viewer:
         """
         if self.link.pending:
             return
+        states, moment = tick.states if tick is not None else {}, np.inf
+        if tick is not None and (past := self.past) is not None:  # of the server's thread
+            moment, states = self._history.at(past)
+            pose = None if self._stage is None else self._stage.past(states)
+        new = new or moment != self._drawn or self._is_due("still", _TEXTS, now)
         slow = 2.0 * self.link.takes if self.link.takes > _QUICK else 0.0
-        picture = new and self._is_due("picture", max(self._interval, slow), now)
-        if not picture and (new or not self._is_due("still", _TEXTS, now)):
+        if not new or not self._is_due("picture", max(self._interval, slow), now):
             return
+        self._drawn = moment
         with self._client.atomic():
-            if picture and pose is not None:
-                assert tick is not None
-                self._scene.draw(pose, tick.states, self._is_due("path", _PATH, now))
+            if pose is not None:
+                self._scene.draw(pose, states, self._is_due("path", _PATH, now))
                 self.pictures += 1
             if self._is_due("texts", _TEXTS, now):
                 self._texts(tick, status)
             seen = tick is not None and self.panel.plots.visible
             if seen and self._is_due("chart", _CHARTS, now):
                 charts, self._chart = self.panel.charts, self._chart + 1  # one after the other
-                charts[self._chart % len(charts)].refresh(self.panel.window.value)
+                charts[self._chart % len(charts)].refresh(self.panel.window.value, moment)
             self.link.ask()
         self._client.flush()
 
@@ -282,8 +261,9 @@ class Viewer:
     def _texts(self, tick: Snapshot | None, status: Status) -> None:
         panel = self.panel
         text, *brief = (*status(tick, self._driver()), self.ended)
-        panel.tell(panel.status, text)
+        panel.status.content = text
         panel.again(self.ended)
+        brief.append(panel.past(self._history.span, self.past))
         if brief != self._brief and self._is_due("brief", _BRIEF, time.monotonic()):
             self._brief = brief
             self.link.brief(brief)
@@ -292,7 +272,7 @@ class Viewer:
             self._grips = drives
             self._scene.grip(self._drag if drives else None)
         if tick is not None:
-            panel.tell(panel.graph, graph_html(self._shown.graph, tick.counters.tolist()))
+            panel.graph.content = graph_html(self._shown.graph, tick.counters.tolist())
         if self._wheel.driver != self.number:
             panel.show_velocity((0.0, 0.0, 0.0))
         if self._said:
@@ -366,9 +346,15 @@ class Viewer:
         now, wheel = time.monotonic(), self._wheel
         if what == "estop":
             self._remote.estop()
-        elif what == "plots" and self._stage is not None:
-            aim(self._client.camera, self._stage, *given)
+        elif what == "plots":
+            self._aim(*given)
+        elif what in ("past", "live") and self._recorded is None:
+            self._look_at(*given)
+        elif what == "branch" and self.past is not None:
+            self._act("branch", {"tick": self.past / self._shown.period + 1.5, "then": given[0]})
+            self._look_at()
         elif what == "wheel":
+            self._look_at()
             if wheel.driver == self.number:
                 wheel.let_go(self.number)
             else:
@@ -384,6 +370,19 @@ class Viewer:
             self._act(*given)
         elif self._recorded is not None:
             self._recorded(what, *given)
+
+    def _look_at(self, past: float | None = None) -> None:
+        """Show a time of the past in [s], or the present; who drives has to see the present."""
+        if past is not None:
+            self._wheel.lose(self.number, "shows the past")
+        self.past = past
+        self._due["texts"] = self._due["brief"] = 0.0
+
+    def _aim(self, taken: float) -> None:
+        """Let the robot fill the view where nobody has turned it; `taken` as of `aim`."""
+        camera = self._client.camera
+        if self._stage is not None and np.allclose(camera.position, self._aimed, atol=1e-3):
+            self._aimed = aim(camera, self._stage, taken)
 
     def _act(self, name: str, arguments: AnyDict) -> None:
         """Ask the run for something; while somebody drives, only he may, but for a stop."""
