@@ -53,8 +53,8 @@ EXTRAS = {
     "plots": ["matplotlib"],
     # The live page; its client is part of the package, so that it works off-line.
     "view": ["viser==1.1.1"],
-    # A headset's page; the second makes its certificate.
-    "webxr": ["websockets>=14", "cryptography>=42"],
+    # A headset's page; the second makes its certificate, the third its pictures.
+    "webxr": ["websockets>=14", "cryptography>=42", "pillow"],
     # setuptools 80 turns `colcon build --symlink-install` into a silent copy.
     "test": [
         "pytest",

@@ -13,6 +13,7 @@ import os
 import stat
 import struct
 import tempfile
+import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -22,8 +23,10 @@ from unicon_base.arrays import UInt8
 
 FOLDER = Path("/dev/shm")
 _PREFIX = "unicon_frames_"
-_HEAD = 8  # int64 in front of the slots' own: latest handle, slots, bytes of a frame, locked, spare
+# int64 in front of the slots' own: latest handle, slots, bytes of a frame, locked, offset, spare
+_HEAD = 8
 _LOCKED = 1  # its maker holds a lock of flock(2) while it lives
+_OFFSET = 4  # from the clock of the stamps to CLOCK_MONOTONIC, [ns]; 0 for a clock of the machine
 _SLOT = 2  # int64 for each slot: handle of its frame (0 while it is filled), stamp_ns
 
 
@@ -142,6 +145,16 @@ class FrameRing:
     def stamp_ns(self, handle: int) -> int:
         """Return when a frame's data were true in [ns]; 0 when it was overwritten."""
         return self._table[_SLOT * (handle % self.slots) + 1] if self.holds(handle) else 0
+
+    def set_offset(self, offset_ns: int) -> None:
+        """Set what brings the stamps of a simulated clock to CLOCK_MONOTONIC, [ns]."""
+        self._head[_OFFSET] = offset_ns
+
+    def true_ns(self, handle: int) -> int:
+        """Return when a frame's data were true by CLOCK_MONOTONIC, [ns]; see `stamp_ns`."""
+        stamp = self.stamp_ns(handle) + self._head[_OFFSET]
+        now, wall = time.monotonic_ns(), time.time_ns()
+        return stamp if abs(now - stamp) < abs(wall - stamp) else stamp - wall + now
 
     def close(self) -> None:
         """Let it go; its maker removes it. Views that are still held stay valid."""

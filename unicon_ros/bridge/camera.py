@@ -309,6 +309,7 @@ class _Camera:
         else:
             np.multiply(self._rays, picture[..., None], out=into)
         self._message.stamp(slot, stamp_ns)
+        self._ring.set_offset(self._stamp_ns - stamp_ns)
         self._ring.commit(stamp_ns)
         if self._topics is not None:
             self._publish(slot.tobytes())

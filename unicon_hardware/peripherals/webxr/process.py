@@ -10,7 +10,6 @@ import os
 import socket
 import ssl
 import time
-from collections import deque
 from contextlib import suppress
 from http import HTTPStatus
 from importlib.resources import files
@@ -23,10 +22,20 @@ from websockets.asyncio.server import serve as websocket
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
+from websockets.protocol import State
 
 from unicon_base import AnyDict, UniconError, imported
 from unicon_base.resources import user_folder
-from unicon_hardware.peripherals.webxr.webxr import ANSWER, FRAME, PARTS, PING, Frame, Refused
+from unicon_hardware.peripherals.webxr.webxr import (
+    ANSWER,
+    FRAME,
+    PARTS,
+    PICTURE,
+    Clock,
+    Eye,
+    Frame,
+    Refused,
+)
 from unicon_ros.peripheral_process import SLICE, Feed, end, serve
 from unicon_ros.web_front import netloc, refusal
 
@@ -133,14 +142,13 @@ def secured(path: Path) -> ssl.SSLContext:
 
 SCRIPT = "/page.js"
 PAGES = {"/": ("page.html", "text/html"), SCRIPT: ("page.js", "text/javascript")}
-POSES = "/poses"
-"""Path of the websocket."""
+POSES, CAMERA = "/poses", "/camera/"
+"""Paths of the websockets; the number of an eye follows the second."""
+GLANCE, LOOKING = 0.004, 8
+"""How often a page that waits looks for a new picture, in [s]; most that look at once."""
 
 EVERY = 0.25
 """How often the page's clock is asked for, in [s]."""
-KEPT = 40
-"""Answers of which the quickest counts."""
-
 TAKEN = 4001
 """Close code: another headset is there."""
 PATIENCE = 1.0
@@ -152,37 +160,6 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
 }
-
-
-class Clock:
-    """Tells by CLOCK_MONOTONIC what the page's clock says: the quickest answer has it best."""
-
-    def __init__(self) -> None:
-        self._asked: set[int] = set()
-        self._answers: deque[tuple[int, int]] = deque(maxlen=KEPT)
-
-    def ask(self) -> bytes:
-        """Return what to ask the page."""
-        now = time.monotonic_ns()
-        self._asked.add(now)
-        return PING.pack(now)
-
-    def answer(self, data: bytes) -> None:
-        """Take its answer.
-
-        Raises:
-            Refused: nobody has asked so.
-        """
-        asked, page = ANSWER.unpack(data)
-        if asked not in self._asked or not 0.0 <= page < 1e12:
-            raise Refused("not an answer")
-        self._asked.remove(asked)
-        now = time.monotonic_ns()
-        self._answers.append((now - asked, (asked + now) // 2 - round(1e6 * page)))
-
-    def at(self, page: float) -> int | None:
-        """Return our time in [ns] of the page's in [ms]; None before it has answered."""
-        return min(self._answers)[1] + round(1e6 * page) if self._answers else None
 
 
 class WebXr:
@@ -199,6 +176,8 @@ class WebXr:
         options = feed.options
         self._feed, self._token, self._stale = feed, options["token"], options["stale"]
         self._host, self._tls = options["host"], options["tls"]
+        self._eyes: list[Eye | None] = [None] * options["cameras"]
+        self._looking, self._note = 0, ""
         self._headset: ServerConnection | None = None
         self._heard = 0.0
         self._number, self._missed, self._refused = -1, 0, 0
@@ -207,6 +186,8 @@ class WebXr:
             path: (files(__package__).joinpath(name).read_bytes(), kind)
             for path, (name, kind) in PAGES.items()
         }
+        page, kind = self._pages["/"]
+        self._pages["/"] = page.replace(b'="0"', b'="%d"' % len(self._eyes), 1), kind
         logging.getLogger("websockets").setLevel(logging.CRITICAL)
         self._path = certificate(self._host) if self._tls else None
         self._loop = asyncio.new_event_loop()
@@ -250,6 +231,12 @@ class WebXr:
 
     def poll(self) -> None:
         """Serve for a while; poses are told as they come."""
+        for what, *given in self._feed.wishes:
+            if what == "cameras":
+                self._eyes = [each and Eye(*each) for each in given]
+            else:
+                self._note = given[0]
+        self._feed.wishes.clear()
         self._loop.run_until_complete(asyncio.sleep(SLICE))
 
     def _request(self, connection: ServerConnection, request: Request) -> Response | None:
@@ -262,7 +249,7 @@ class WebXr:
         if why:
             self._refuse(why)
             return connection.respond(HTTPStatus.FORBIDDEN, f"Not for you: {why}.\n")
-        if url.path == POSES:
+        if url.path in (POSES, *(f"{CAMERA}{n}" for n in range(len(self._eyes)))):
             return None
         if url.path not in self._pages:
             return connection.respond(HTTPStatus.NOT_FOUND, "There is only the page at /.\n")
@@ -275,6 +262,11 @@ class WebXr:
 
     async def _session(self, connection: ServerConnection) -> None:
         """Hear a headset until it leaves."""
+        path = urlsplit(connection.request.path).path if connection.request else ""
+        if path != POSES:
+            with suppress(ConnectionClosed):
+                await self._show(connection, int(path.removeprefix(CAMERA)))
+            return
         before = self._headset
         if before is not None and time.monotonic() - self._heard < PATIENCE:
             await connection.close(TAKEN, "another headset is connected")
@@ -299,6 +291,30 @@ class WebXr:
                 self._headset = None
                 self._feed.neutral()
                 self._feed.tell(f"{self._feed.name}: the headset has left; its values are neutral")
+
+    async def _show(self, connection: ServerConnection, number: int) -> None:
+        """Send the newest picture each time that a page asks: nothing waits for a slow one."""
+        if self._looking == LOOKING:
+            await connection.close(TAKEN, "too many pages look at the cameras")
+            return
+        self._looking += 1
+        try:
+            seen, note = 0, ""
+            async for _ in connection:
+                since = time.monotonic()
+                while (eye := self._eyes[number]) is None or eye.ring.latest == seen:
+                    if connection.state is not State.OPEN:
+                        return
+                    await asyncio.sleep(GLANCE)
+                if note != self._note:
+                    note = self._note
+                    await connection.send(note)
+                seen, true_ns, jpeg = await asyncio.to_thread(eye.jpeg)
+                age, waited = 1e-6 * (time.monotonic_ns() - true_ns), time.monotonic() - since
+                head = PICTURE.pack(seen & 0xFFFFFFFF, age, 1e3 * waited)
+                await connection.send(head + jpeg)
+        finally:
+            self._looking -= 1
 
     async def _ask(self, connection: ServerConnection, clock: Clock) -> None:
         with suppress(ConnectionClosed):

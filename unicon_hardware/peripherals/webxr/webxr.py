@@ -3,26 +3,30 @@
 commands:
   - webxr                                                      # http://127.0.0.1:8443/
   - webxr: {host: 192.168.1.5, token: a-word-of-16-signs}      # https, for a headset
+  - webxr: {cameras: [left_eye, right_eye]}                    # pictures in front of the operator
 """
 
 from __future__ import annotations
 
+import io
 import struct
 import time
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from typing import Annotated, Any
 
 import numpy as np
 
-from unicon_base import MissingDependencyError, WorkflowError
+from unicon_base import MissingDependencyError, WorkflowError, alternatives, imported
 from unicon_base.arrays import Float32
 from unicon_base.schema.marks import Within
 from unicon_core.flow import Block
+from unicon_core.handles import FrameRing
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 from unicon_hardware.wire import frame_type
-from unicon_ros.peripheral import Peripheral, peripheral_block, peripheral_states
+from unicon_ros.peripheral import FrameSource, Peripheral, peripheral_block, peripheral_states
 from unicon_ros.web_front import LOOPBACK
 
 _FINGER = ("metacarpal", "phalanx-proximal", "phalanx-intermediate", "phalanx-distal", "tip")
@@ -136,6 +140,90 @@ class Frame:
         return poses
 
 
+KEPT = 40
+"""Answers of which the quickest counts."""
+
+
+class Clock:
+    """Tells by CLOCK_MONOTONIC what the page's clock says: the quickest answer has it best."""
+
+    def __init__(self) -> None:
+        self._asked: set[int] = set()
+        self._answers: deque[tuple[int, int]] = deque(maxlen=KEPT)
+
+    def ask(self) -> bytes:
+        """Return what to ask the page."""
+        now = time.monotonic_ns()
+        self._asked.add(now)
+        return PING.pack(now)
+
+    def answer(self, data: bytes) -> None:
+        """Take its answer.
+
+        Raises:
+            Refused: nobody has asked so.
+        """
+        asked, page = ANSWER.unpack(data)
+        if asked not in self._asked or not 0.0 <= page < 1e12:
+            raise Refused("not an answer")
+        self._asked.remove(asked)
+        now = time.monotonic_ns()
+        self._answers.append((now - asked, (asked + now) // 2 - round(1e6 * page)))
+
+    def at(self, page: float) -> int | None:
+        """Return our time in [ns] of the page's in [ms]; None before it has answered."""
+        return min(self._answers)[1] + round(1e6 * page) if self._answers else None
+
+
+PICTURE = struct.Struct("<Iff")
+"""What stands before a JPEG: number of its frame, its age, and how long the page waited, [ms]."""
+QUALITY = 80
+"""Of the JPEG of a raw picture, 1 to 100: 640 x 480 pixels take 3 ms and some 60 kB."""
+
+
+class Eye:
+    """The pictures of a camera, as JPEG; the newest one alone, and made where a page asks for it.
+
+    Args:
+        path: of the ring with the camera's frames.
+        offset: where the data of a frame begin, [B].
+        shape: of the data: (height, width, 3) of rgb8, or (bytes,) of a JPEG.
+
+    Attributes:
+        ring: the camera's frames.
+    """
+
+    def __init__(self, path: str, offset: int, shape: Sequence[int]) -> None:
+        self.ring, self._offset, self._shape = FrameRing.attach(path), offset, shape
+        self._made = 0, 0, b""
+
+    def jpeg(self) -> tuple[int, int, bytes]:
+        """Return the newest frame: handle, when it was true by CLOCK_MONOTONIC [ns], JPEG.
+
+        Where a frame is overwritten meanwhile that is the one before.
+        """
+        handle = self.ring.latest
+        frame = None if handle == self._made[0] else self.ring.frame(handle)
+        if frame is not None:
+            data, true_ns = bytes(frame[self._offset :]), self.ring.true_ns(handle)
+            if self.ring.holds(handle):
+                if len(self._shape) == 1:
+                    data = data[: int.from_bytes(frame[self._offset - 4 : self._offset], "little")]
+                else:
+                    data = _jpeg(data, self._shape)
+                self._made = handle, true_ns, data
+        return self._made
+
+
+def _jpeg(pixels: bytes, shape: Sequence[int]) -> bytes:
+    file, (height, width, _) = io.BytesIO(), shape
+    image = imported("PIL.Image", "cameras of webxr", "webxr", "pillow")
+    image.frombuffer("RGB", (width, height), pixels, "raw", "RGB", 0, 1).save(
+        file, "JPEG", quality=QUALITY
+    )
+    return file.getvalue()
+
+
 MODULE = "unicon_hardware.peripherals.webxr.process"
 SHORTEST = 12
 """Characters of a token."""
@@ -150,6 +238,7 @@ def webxr(
     tls: bool | None = None,
     stale: Annotated[float, Within(0.02, 2.0, "s")] = 0.2,
     prefix: str = "webxr",
+    cameras: Sequence[str] = (),
 ) -> Block:
     """Write poses, buttons and axes of a headset; all neutral, and alive 0, while none is heard.
 
@@ -162,6 +251,8 @@ def webxr(
         stale: frames that are older are not taken, and after so long without one all is neutral,
             in [s].
         prefix: stands before the names of its states.
+        cameras: handles without `_handle` whose colour pictures are in front of the operator and in
+            the page: one for both eyes, or the left and the right eye's.
 
     Raises:
         WorkflowError: an option is wrong.
@@ -182,31 +273,71 @@ def webxr(
         raise WorkflowError(
             f"webxr: host {host} without TLS: headsets show WebXR to no such page; leave tls out"
         )
-    if not context.dry and find_spec("websockets") is None:
-        raise MissingDependencyError("webxr", "websockets", "pip install 'unicon_ros[webxr]'")
+    if len(cameras) > 2:
+        raise WorkflowError(f"webxr: {len(cameras)} cameras; give one, or the left and right eye's")
+    there = [
+        n.removesuffix("_handle") for n in context.states.layout.specs if n.endswith("_handle")
+    ]
+    for name in cameras:
+        if name not in there:
+            raise WorkflowError(f"webxr: no camera {name!r}; {alternatives(name, there)}")
+    for package in ("websockets", *["PIL"] * bool(cameras)):
+        if not context.dry and find_spec(package) is None:
+            raise MissingDependencyError("webxr", package, "pip install 'unicon_ros[webxr]'")
     options = {
         "host": host,
         "port": port,
         "token": token,
         "tls": beyond if tls is None else tls,
         "stale": stale,
+        "cameras": len(cameras),
     }
-    return peripheral_block(
+    block = peripheral_block(
         context, prefix, MODULE, options, values=_values(prefix), stale=stale, kind=Headset
     )
+    if isinstance(block.tick, Headset):
+        block.tick.cameras, block.tick.blocks = cameras, context.blocks
+    return block
 
 
 class Headset(Peripheral):
-    """The tick of `webxr`: tells also how old the poses are in it, for records and replays."""
+    """The tick of `webxr`: tells also how old the poses are in it, for records and replays.
+
+    Attributes:
+        cameras: names of handles whose pictures the page shows.
+        blocks: of the workflow, one of which has those pictures; all of them once it ticks.
+    """
+
+    cameras: Sequence[str] = ()
+    blocks: Sequence[Block] = ()
+    _knows = 0  # the process that was told of the cameras
 
     def __call__(self) -> bool:
         news = super().__call__()
+        if self._knows != self.process.pid:
+            self._name_cameras()
         states, name = self._states, self._name
         age = 0.0
         if states[f"{name}_alive"]:
             age = 1e-9 * (time.monotonic_ns() - int(states[f"{name}_stamp_ns"]))
         states[f"{name}_age"][...] = age
         return news
+
+    def _name_cameras(self) -> None:
+        sources: dict[str, FrameSource] = {}
+        for block in self.blocks:
+            sources |= getattr(block.tick, "sources", {})
+        found = {n: s for n, s in sources.items() if s.message.dtype == "|u1"}  # colours, JPEG
+        eyes = [
+            (str(found[n].ring.path), found[n].message.offset, found[n].message.shape)
+            if n in found
+            else None
+            for n in self.cameras
+        ]
+        if self.wish("cameras", *eyes):
+            self._knows = self.process.pid
+            for name in set(self.cameras) - {*found}:
+                self._tell(f"{self._name}: {name} has no colour pictures here; it is not shown")
 
 
 def _values(name: str) -> Mapping[str, StateSpec]:
