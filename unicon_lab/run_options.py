@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -57,6 +58,21 @@ OPTIONS = (
         default=0,
     ),
     argument(
+        "--collect",
+        "DIR",
+        "record episodes that keys (? lists them) or a headset's thumbsticks start, keep and "
+        "discard, and make one LeRobot data set of those that were kept; again: of more",
+        default="",
+    ),
+    argument(
+        "--episodes",
+        "N",
+        "how many --collect keeps in all (default: 20)",
+        type=whole("a number of episodes", 1, 100_000),
+        default=0,
+    ),
+    argument("--task", "TEXT", "what they show (default: the workflow's name)", default=""),
+    argument(
         "--faults",
         "DIR",
         "where the record of a fault goes, or off (default: $UNICON_FAULTS, else "
@@ -109,6 +125,10 @@ def refuse(options: argparse.Namespace) -> None:
     """
     if options.record == "":  # as of a variable that is not set
         raise UniconError("--record has no name; give FILE.mcap or FOLDER/")
+    if options.collect and (options.record or options.speed == "max"):
+        raise UniconError(
+            "--collect records by itself, for an operator; leave --record and --speed"
+        )
     if options.diagnose and options.speed == "max":
         raise UniconError("--diagnose cannot follow --speed max; leave one out")
     alone = bool(options.view_token) or options.view_host != LOCAL
@@ -116,6 +136,12 @@ def refuse(options: argparse.Namespace) -> None:
         ("--record-split", options.record_split, "--record FOLDER/", options.record),
         ("--record-frames", options.record_frames, "--record FILE.mcap", options.record),
         ("--record-jpeg", options.record_jpeg, "--record-frames all", options.record_frames),
+        (
+            "--episodes and --task",
+            options.episodes or options.task,
+            "--collect DIR",
+            options.collect,
+        ),
         ("--view-host and --view-token", alone, "--view", options.view),
         ("--view-layout", options.view_layout, "--view=foxglove", options.view),
     ):
@@ -133,11 +159,15 @@ def attachments(asked: Asked) -> Iterator[Attachment]:
     """
     get = asked.options.get
     recording = None
-    if get("record"):
+    if get("record") or get("collect"):
+        from unicon_lab.recording.collection import Collection
         from unicon_lab.recording.run_recording import Recording
 
-        recording = Recording(
-            asked.options["record"],
+        made: Callable[..., Recording] = Recording
+        if get("collect"):
+            made = partial(Collection, get("episodes") or 20, get("task") or "")
+        recording = made(
+            get("record") or get("collect"),
             asked.map_name,
             asked.session,
             asked.warn,

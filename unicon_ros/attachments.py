@@ -64,6 +64,10 @@ class Attachment:
     def attach(self, runner: Runner) -> None:
         """Get to know the runner before its first tick."""
 
+    def status(self) -> AnyDict:
+        """Return what the status line begins with."""
+        return {}
+
     def ended(self, report: Report) -> tuple[str, str] | None:
         """Complete the report of a run that ended; return a name and what to say, if anything."""
         return None

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from unicon_base import AnyDict, StateError, UniconError
 from unicon_base.arrays import Index, Int64
-from unicon_core.states.standard import FORWARDED_STATES
+from unicon_core.states.standard import FORWARDED_STATES, pose_of
 from unicon_lab.datasets.pictures import NAME, PIXELS, Pictures, Shown, can_encode
 from unicon_lab.recording import Record
 
@@ -29,6 +29,7 @@ class Episode:
         rows: index of the tick of each frame, shape (frames,).
         shown: camera to its picture at each frame.
         held: camera to the number of frames whose own picture is not there.
+        task: what it shows; "" where nobody has said so.
     """
 
     path: Path
@@ -36,6 +37,16 @@ class Episode:
     rows: Int64
     shown: Mapping[str, Shown] = field(default_factory=dict)
     held: Mapping[str, int] = field(default_factory=dict)
+    task: str = ""
+
+
+@dataclass(frozen=True)
+class Kept:
+    """An episode that an operator has kept: first and last tick of a recording, and the task."""
+
+    first: int
+    last: int
+    task: str
 
 
 def rate_of(record: Record) -> float:
@@ -45,7 +56,12 @@ def rate_of(record: Record) -> float:
 
 
 def episodes_of(
-    path: Path, record: Record, fps: int, phases: Collection[str], pictures: Mapping[str, Pictures]
+    path: Path,
+    record: Record,
+    fps: int,
+    phases: Collection[str],
+    pictures: Mapping[str, Pictures],
+    kept: Collection[Kept] = (),
 ) -> list[Episode]:
     """Return an episode for each stretch of ticks of the phases, none where there are no such.
 
@@ -58,12 +74,13 @@ def episodes_of(
         fps: frames a second.
         phases: of the ticks that count.
         pictures: camera to its pictures.
+        kept: episodes that alone count; all ticks if empty.
 
     Raises:
         UniconError: a camera has no picture in any tick of a stretch.
     """
     found = []
-    for rows in _stretches(record, phases):
+    for rows, task in _kept_rows(record, phases, kept):
         rows = sampled(record, rows, fps)
         shown, held = {}, {}
         for name, each in pictures.items():
@@ -80,8 +97,23 @@ def episodes_of(
         begin = max((int(np.argmax(each >= 0)) for each in shown.values()), default=0)
         cut = {name: Shown(pictures[name], each[begin:]) for name, each in shown.items()}
         missing = {name: int((~exact[begin:]).sum()) for name, exact in held.items()}
-        found.append(Episode(path, record, rows[begin:], cut, missing))
+        found.append(Episode(path, record, rows[begin:], cut, missing, task))
     return found
+
+
+def _kept_rows(
+    record: Record, phases: Collection[str], kept: Collection[Kept]
+) -> list[tuple[Int64, str]]:
+    """Return the rows of each episode, and its task."""
+    stretches, ticks = _stretches(record, phases), record.ticks
+    if not kept:
+        return [(rows, "") for rows in stretches]
+    found = [
+        (rows[(ticks[rows] >= each.first) & (ticks[rows] <= each.last)], each.task)
+        for each in kept
+        for rows in stretches
+    ]
+    return [(rows, task) for rows, task in found if len(rows)]
 
 
 def _stretches(record: Record, phases: Collection[str]) -> list[Int64]:
@@ -133,7 +165,9 @@ COMMANDED = FORWARDED_STATES[0]
 INSTEAD = {COMMANDED: "joint_pos_target"}
 """What stands for an element that is NaN: nothing was commanded, and this was sent."""
 ALSO = ("velocity_command",)
-"""What is commanded besides."""
+"""What is commanded besides, as are the `_target` of end effectors, whose pose stands for NaN."""
+OPERATOR = "local_floor"
+"""Frame of a headset's poses, which are features `operator.NAME`: no policy may see them."""
 COMMANDS = (*INSTEAD, *INSTEAD.values(), *ALSO)
 """All that an action may be made of unless told."""
 _TYPES = ("float32", "float64", "int32", "int64", "bool")
@@ -160,8 +194,9 @@ class Column:
         parts = []
         for state, places in self.states:
             part = _flat(episode, state)[:, places]
-            if state in INSTEAD and self.key == ACTION:
-                sent = _flat(episode, INSTEAD[state])[:, places]
+            instead = INSTEAD.get(state) or pose_of(state.removesuffix("_target"))
+            if self.key == ACTION and instead in episode.record.kept["sent"]:
+                sent = _flat(episode, instead)[:, places]
                 part = np.where(np.isnan(part), sent, part)
             parts.append(part)
         return np.concatenate(parts, axis=1).astype(self.dtype)
@@ -171,7 +206,19 @@ def default_states(record: Record) -> list[str]:
     """Return the states that are observed unless told."""
     there = record.kept["sent"]
     poses = [name for name in there if name.endswith("_pose")]
-    return [name for name in (*OBSERVED, *BASE) if name in there] + poses
+    return [name for name in (*OBSERVED, *BASE) if name in there] + poses + _operator(record)
+
+
+def _operator(record: Record) -> list[str]:
+    """Return the states of a headset: poses, and which of them are tracked."""
+    poses = [n for n in record.kept["sent"] if record.layout.specs[n].frame == OPERATOR]
+    return poses + [n.replace("_head", "_valid") for n in poses if n.endswith("_head")]
+
+
+def _targets(record: Record) -> list[str]:
+    """Return the targets of end effectors, of whose pose a record knows."""
+    there = record.kept["sent"]
+    return [n for n in there if n.endswith("_target") and pose_of(n[: -len("_target")]) in there]
 
 
 def default_actions(episodes: Sequence[Episode]) -> list[str]:
@@ -181,7 +228,7 @@ def default_actions(episodes: Sequence[Episode]) -> list[str]:
         not np.isnan(_flat(each, COMMANDED)).all() for each in episodes
     )
     first = COMMANDED if commanded else INSTEAD[COMMANDED]
-    return [name for name in (first, *ALSO) if name in there]
+    return [name for name in (first, *ALSO) if name in there] + _targets(episodes[0].record)
 
 
 def made_columns(
@@ -211,7 +258,9 @@ def made_columns(
     told: list[str] = []
     columns = []
     for name in states:
-        key, places = OBSERVED.get(name, f"observation.{name}"), _known(episodes, name, told)
+        whose = "operator" if name in _operator(record) else "observation"
+        key = OBSERVED.get(name, f"{whose}.{name}")
+        places = _known(episodes, name, told)
         if len(places):
             names = _names(record, name, places)
             columns.append(Column(key, record.layout.specs[name].dtype, ((name, places),), names))

@@ -22,6 +22,7 @@ from unicon_lab.datasets.columns import (
     TICK,
     Column,
     Episode,
+    Kept,
     default_actions,
     default_states,
     episodes_of,
@@ -169,11 +170,40 @@ def fps_of(record: Record, cameras: dict[str, Pictures], wanted: Wanted) -> int:
     return round(rate)
 
 
+KEPT = "episodes.json"
+"""File beside recordings: name, first and last tick and task of each episode that was kept."""
+
+
+def kept_in(path: Path) -> dict[Path, list[Kept]]:
+    """Return recordings, each with the episodes that were kept; of a recording itself no episode.
+
+    Args:
+        path: of a recording, or of a folder with `KEPT`.
+
+    Raises:
+        UniconError: that file cannot be read.
+    """
+    if not (path / KEPT).exists():
+        return {path: []}
+    found: dict[Path, list[Kept]] = {}
+    try:
+        for name, *episode in json.loads((path / KEPT).read_bytes()):
+            found.setdefault(path / Path(name).name, []).append(Kept(*episode))
+    except (OSError, TypeError, ValueError) as error:
+        raise UniconError(
+            f"{path / KEPT} cannot be read: {one_line(error)}; mend it, or move it away"
+        ) from error
+    if not found:
+        raise UniconError(f"{path}: no episode was kept; collect some first")
+    return found
+
+
 def export_dataset(paths: Sequence[Path], out: Path, wanted: Wanted) -> list[str]:
     """Write recordings as one data set; return what to tell, a line each.
 
     Args:
-        paths: of recordings of one robot, in the order of their episodes.
+        paths: of recordings of one robot, in the order of their episodes, or of folders with
+            `episodes.json`, of which those that were kept count.
         out: folder of the data set, which does not exist.
         wanted: what it is to have.
 
@@ -189,14 +219,17 @@ def export_dataset(paths: Sequence[Path], out: Path, wanted: Wanted) -> list[str
     for phase in wanted.phases:
         if phase not in (known := [each.value for each in PHASES]):
             raise UniconError(f"--phases: no phase {phase!r}; {alternatives(phase, known)}")
-    records = [(path, open_record(path)) for path in paths]
+    kept = {each: marks for path in paths for each, marks in kept_in(path).items()}
+    records = [(path, open_record(path)) for path in kept]
     told: list[str] = []
     cameras = [cameras_of(path, record, wanted, told) for path, record in records]
     refuse_others(records, cameras, wanted)
     fps = fps_of(records[0][1], cameras[0], wanted)
     episodes: list[Episode] = []
     for (path, record), pictures in zip(records, cameras):
-        found = episodes_of(path, record, fps, wanted.phases, pictures)
+        found = episodes_of(path, record, fps, wanted.phases, pictures, kept[path])
+        lost = [each.last for each in kept[path] if each.last not in record.ticks]
+        told += [f"{path}: tick {last}, the end of an episode, was not recorded" for last in lost]
         if not found:
             counts = ", ".join(dict.fromkeys(record.phases)) or "none"
             raise UniconError(
@@ -277,7 +310,7 @@ def _written(
         for episode in episodes:
             values = {each.key: each.values(episode) for each in columns}
             values[TICK] = episode.record.ticks[episode.rows].reshape(-1, 1)
-            task = wanted.task or episode.record.facts.get("workflow") or "unicon"
+            task = wanted.task or episode.task or episode.record.facts.get("workflow") or "unicon"
             made.add(episode, values, task)
         made.finish()
         _write_sources(beside / out.name, episodes)

@@ -88,6 +88,7 @@ class Background:
         self._large: list[Large] = []
         self._overflow = self._discarded = 0
         self._error = ""
+        self._drained = 0
         self._open = True
         self._ending = False
         self._wake, self._flushed, self._ended = (threading.Event() for _ in range(3))
@@ -141,6 +142,20 @@ class Background:
         messages, size = self._file.recorded
         dropped = self._lost() + self._discarded
         return {"messages": messages, "dropped": dropped, "bytes": size, "error": self._error}
+
+    def flush(self) -> bool:
+        """Bring all that was put before onto the medium, from a thread that may wait.
+
+        Returns False where the file has ended: its medium is full or gone.
+        """
+        until = self._drained + 2  # one of them may have begun before
+        while self._drained < until and self._open and not self._ending:
+            self._wake.set()
+            time.sleep(0.01)
+        with self._file_in_use:
+            if self._open:
+                self._file.sync()
+            return self._open
 
     def _lost(self) -> int:
         """Return the messages that had no room in memory."""
@@ -218,6 +233,7 @@ class Background:
             self._wake.clear()
             ending = self._ending
             self._drain()
+            self._drained += 1
             self._flushed.set()
             if not lost and (lost := self._lost()):
                 self._fail(

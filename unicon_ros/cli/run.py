@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from unicon_base import TextSink, UniconError
+from unicon_base import AnyDict, TextSink, UniconError
 from unicon_base.packages import loaded
 from unicon_core.non_blocking_writer import relayed_stderr
 from unicon_core.page import refuse_unwritable
@@ -110,18 +110,27 @@ def _run(
         hooks += [each.hook for each in attachments]
         program = Program(document, hooks=hooks, part=arguments.part, silent=arguments.dry)
         guard.damp = program.damp_now
+        shown = console.status_of(arguments)
+
+        def status(facts: AnyDict) -> None:
+            before: AnyDict = {}
+            for each in attachments:
+                before |= each.status()
+            if shown is not None:
+                shown(before | facts)
+
         run_options = RunOptions(
             detail=bool(arguments.trace),
             duration=arguments.duration,
             speed=arguments.speed,
             warn=console.warn,
-            status=console.status_of(arguments),
+            status=None if shown is None else status,
             operator=not arguments.yes,
             native=arguments.native,
         )
-        with ExitStack() as shown:
+        with ExitStack() as closes:
             for each in attachments:
-                (stays if each.stays else shown).callback(each.close)
+                (stays if each.stays else closes).callback(each.close)
             try:
                 for line in refuse_errors(program, arguments.force):
                     console.warn(line)

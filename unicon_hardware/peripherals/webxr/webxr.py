@@ -323,6 +323,10 @@ class Headset(Peripheral):
         states[f"{name}_age"][...] = age
         return news
 
+    def say(self, text: str) -> None:
+        """Show the operator a line below the pictures."""
+        self.wish("say", text)
+
     def _name_cameras(self) -> None:
         sources: dict[str, FrameSource] = {}
         for block in self.blocks:
