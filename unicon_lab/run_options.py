@@ -60,8 +60,7 @@ OPTIONS = (
     argument(
         "--collect",
         "DIR",
-        "record episodes that keys (? lists them) or a headset's thumbsticks start, keep and "
-        "discard, and make one LeRobot data set of those that were kept; again: of more",
+        "make a LeRobot data set of episodes that keys or a headset start, keep and discard",
         default="",
     ),
     argument(

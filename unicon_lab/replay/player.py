@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import select
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -18,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from unicon_base import AnyDict, TextSink, UniconError
+from unicon_core.blocks.controls.device import take_terminal
 from unicon_core.flow import Block
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.states.standard import HARDWARE_STATES, standard_states
@@ -51,20 +51,14 @@ class Keys:
         self._thread = threading.Thread(target=self._read, name="keys", daemon=True)
 
     def __enter__(self) -> Keys:
-        import termios
-        import tty
-
-        self._before = termios.tcgetattr(sys.stdin)
-        tty.setcbreak(sys.stdin)  # Ctrl-C stays a signal
+        self._give_back = take_terminal()
         self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        import termios
-
         self._over.set()
         self._thread.join()
-        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, self._before)
+        self._give_back()
 
     def _read(self) -> None:
         while not self._over.is_set():

@@ -197,6 +197,30 @@ def keyboard(
 setattr(keyboard, "declares", declares_controls)  # noqa: B010  a function has none to mypy
 
 
+def take_terminal() -> Callable[[], object]:
+    """Get keys as they are pressed, Ctrl-C stays a signal; return what gives the terminal back.
+
+    Raises:
+        OSError: standard input is not a terminal.
+    """
+    import termios
+    import tty
+
+    try:
+        if not sys.stdin.isatty():
+            raise OSError("standard input is not a terminal")
+        before = termios.tcgetattr(0)
+        tty.setcbreak(0)
+    except (AttributeError, ValueError, termios.error) as error:
+        raise OSError(str(error)) from error
+
+    def give_back() -> None:
+        with suppress(OSError, termios.error):
+            termios.tcsetattr(0, termios.TCSADRAIN, before)
+
+    return give_back
+
+
 class Keyboard:
     """The tick of `keyboard`."""
 
@@ -207,7 +231,7 @@ class Keyboard:
         self._ticks = ticks
         self._context = context
         self._left = [0] * (4 + len(BUTTONS))
-        self._before: list[Any] | None = None
+        self._give_back: Callable[[], object] | None = None
         self._open = not context.dry
         self._told = False
 
@@ -259,21 +283,14 @@ class Keyboard:
 
     def _entered(self) -> bool:
         """Take the terminal, once; Ctrl-C stays a signal."""
-        if self._before is not None:
+        if self._give_back is not None:
             return True
-        import termios
-        import tty
-
         try:
-            if not sys.stdin.isatty():
-                raise OSError("standard input is not a terminal")
-            before = termios.tcgetattr(0)
-            tty.setcbreak(0)
-        except (AttributeError, ValueError, OSError, termios.error) as error:
+            self._give_back = take_terminal()
+        except OSError as error:
             self._open = False
             self._context.tell(f"keyboard: {error}; nothing is pressed")
             return False
-        self._before = before
         self._context.tell(HELP)
         self._controls.alive[...] = 1
         return True
@@ -288,9 +305,6 @@ class Keyboard:
         """Give the terminal back as it was."""
         self._open = False
         self._controls.let_go()
-        if self._before is not None:
-            import termios
-
-            with suppress(OSError, termios.error):
-                termios.tcsetattr(0, termios.TCSADRAIN, self._before)
-            self._before = None
+        if self._give_back is not None:
+            self._give_back()
+            self._give_back = None
