@@ -373,7 +373,7 @@ def test_the_picture_in_the_headset_is_young_and_the_view_loop_quick(
     page.set_viewport_size(SMALL)
     rig.start()
     rig.until(lambda: bool(page.evaluate("eyes[0].number")), 20.0)
-    page.evaluate("measure()")
+    page.evaluate("window.ages = []; measure()")
     for _ in range(3):  # others may have the machine
         page.evaluate("window.ages = []")
         begin, first = time.monotonic(), int(rig.states["webxr_number"])
