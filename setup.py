@@ -51,6 +51,8 @@ EXTRAS = {
     # `unicon sweep`: 220 MB.
     "sweep": ["pyarrow", "scipy>=1.15"],
     "plots": ["matplotlib"],
+    # Curves of pages that are hovered and zoomed: uPlot (MIT) as a file of this package.
+    "pages": ["matplotlib", "uplot-python==1.1.1"],
     # The live page; its client is part of the package, so that it works off-line.
     "view": ["viser==1.1.1"],
     # A headset's page; the second makes its certificate, the third its pictures.

@@ -49,18 +49,20 @@ class Page(HTMLParser):
         self.pictures: dict[str, int] = {}
         """Of each picture how many strokes it has."""
         self.texts: list[str] = []
+        self.scripts: list[str] = []
         self._open: list[str] = []
         self._ids: list[str] = []
         self._wanted: list[str] = []
         self._picture = ""
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        assert tag not in ("script", "iframe", "object", "embed"), tag
+        assert tag not in ("iframe", "object", "embed"), tag
+        assert tag != "script" or not any(name == "src" for name, _ in attrs)
         for name, value in attrs:
             assert not name.startswith("on"), (tag, name)
             text = value or ""
             if name in ("src", "href", "srcset", "xlink:href", "action", "data"):
-                assert text.startswith(("data:", "#")), (tag, name, text)
+                assert text.startswith(("data:", "#", "./")), (tag, name, text)
             self._wanted += re.findall(r"url\(#([^)]+)\)", text)
             if name.endswith("href") and text.startswith("#"):
                 self._wanted.append(text[1:])
@@ -90,12 +92,26 @@ class Page(HTMLParser):
         self._open.pop()
 
     def handle_data(self, data: str) -> None:
-        if data.strip() and "style" not in self._open:
+        if self._open[-1:] == ["script"]:
+            self.scripts.append(data)
+            if data.startswith('{"clock"'):
+                self.pictures[self._picture] += data.count(",")
+        elif data.strip() and "style" not in self._open:
             self.texts.append(data.strip())
         if self._open and self._open[-1] in ("h1", "h2", "h3"):
             self.headings.append(data)
         if self.tables and "table" in self._open and data.strip():
             self.tables[-1][-1][-1] += data
+
+    @property
+    def panels(self) -> list[dict[str, Any]]:
+        """Every panel that uPlot draws, with its curves and its times as `time`."""
+        groups = [json.loads(text) for text in self.scripts if text.startswith('{"clock"')]
+        return [
+            panel | {"time": group["x"][panel["x"]], "clock": group["clock"]}
+            for group in groups
+            for panel in group["panels"]
+        ]
 
     def table(self, head: str) -> list[list[str]]:
         """Return the table whose first cell begins so."""
@@ -117,8 +133,70 @@ def read_page(text: str) -> Page:
     assert len(set(page._ids)) == len(page._ids), "an id stands twice"
     assert set(page._wanted) <= set(page._ids), set(page._wanted) - set(page._ids)
     assert "@import" not in text
+    text = text.replace("(https://github.com/leeoniya/uPlot)", "")  # of its licence
     assert not re.search(r"https?:(?!//www\.w3\.org/)|url\((?!#|[\"']?data:)", text)
     return page
+
+
+QUESTIONS = (
+    *(
+        "Which joint",
+        "When",
+        "How fast",
+        "Did it fall",
+        "What was commanded",
+        "Where is it recorded",
+    ),
+)
+
+
+def answered(text: str) -> dict[str, str]:
+    """Return the six answers of a page, which come before all that scrolls; their texts."""
+    begin = text.index('<dl class="answers">')
+    assert text.count('<dl class="answers">') == 1
+    for later in ("<table", "<svg", "<figure", '<ul class="findings', 'class="plots"'):
+        assert later not in text[:begin], later
+    shown = text[begin : text.index("</dl>")]
+    found = dict(re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", shown))
+    assert tuple(found) == QUESTIONS
+    answers = {k: html.unescape(re.sub(r"<[^>]*>", " ", each)).strip() for k, each in found.items()}
+    assert all(len(each) > 8 for each in answers.values()), answers
+    for forbidden in ("nan", "None", "inf "):
+        assert forbidden not in " ".join(answers.values()), answers
+    return answers
+
+
+def first_screen(page: Path, check: Any = None) -> None:
+    """Look at a page in a browser, on a phone and on a desk: the answers are on the first screen.
+
+    Args:
+        page: the file.
+        check: gets the tab of the larger one.
+    """
+    sync = pytest.importorskip("playwright.sync_api")
+    assert page.stat().st_size < 600_000
+    with sync.sync_playwright() as playwright:
+        shown = playwright.chromium.launch(executable_path=browser(), args=[*FLAGS])
+        for width, height in ((390, 844), (1280, 800)):
+            tab = shown.new_page(viewport={"width": width, "height": height})
+            said: list[str] = []
+            tab.on("console", lambda line, said=said: said.append(line.text))
+            tab.on("pageerror", lambda error, said=said: said.append(str(error)))
+            tab.on("request", lambda asked, said=said: said.append(asked.url))
+            tab.goto(page.as_uri())
+            boxes = [each.bounding_box() for each in tab.locator("dl.answers > *").all()]
+            assert len(boxes) == 12
+            for box in boxes:
+                assert box is not None
+                assert box["x"] >= 0
+                assert box["x"] + box["width"] <= width
+                assert box["y"] + box["height"] <= height
+            assert tab.evaluate("document.documentElement.scrollWidth") == width
+            if check is not None and width == 1280:
+                check(tab)
+            assert [each for each in said if not each.startswith(("file:", "data:"))] == []
+            assert sum(each.startswith("file:") for each in said) == 1
+        shown.close()
 
 
 def browser() -> str:

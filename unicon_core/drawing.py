@@ -1,12 +1,15 @@
-"""Drawings by matplotlib, for pages and as PNGs; they take the colours of a page, light or dark."""
+"""Drawings of pages: curves that a reader hovers and zooms, by uPlot; all others, and PNGs, by
+matplotlib. They take the colours of a page, light or dark."""
 
 from __future__ import annotations
 
 import html
 import io
+import json
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,24 +17,26 @@ import numpy as np
 
 from unicon_base import AnyDict, imported
 from unicon_base.arrays import Array
+from unicon_core.page import STILL, interactive, plain, write_file
 from unicon_core.page import figure as figure_html
-from unicon_core.page import write_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-INK, MARK, PALE = "#222221", "#1f4e9c", "#b8b8b8"
-"""Text and axes, what is looked at first, what stands behind it. The first two follow the page."""
+INK, MARK, PALE = "#222221", "#1f4e9c", "#8c8c8d"
+"""Text and axes, what is looked at first, what stands behind it. They follow the page."""
+COLOURS = (MARK, "#d55e00", "#009e73", "#b3589a", "#2f9bd6", "#b58900")
+"""Of curves, in their order: colour-blind readers tell them apart, on white and on black."""
 _PAPER = "#fefefd"
-POINTS = 1500
-"""Of a curve: of more than twice as many the lowest and the highest of each stretch are drawn."""
+ROOM = 16_000
+"""Values of a picture, so that a page of six stays below 600 kB."""
 ZOOM_S = 3.0
-"""Length of the stretch that `zoomed` draws larger in [s]."""
+"""Length of the stretch of `worst` in [s]."""
 
 Pictures = Mapping[str, tuple[Callable[..., bool], str, str]]
 """Name to what fills a figure, as of `drawn`, heading and caption, in the order of a page."""
 
-_FOLLOWS = {INK: "currentColor", MARK: "var(--mark)", _PAPER: "var(--page)"}
+_FOLLOWS = {INK: "--text", MARK: "--mark", PALE: "--pale", _PAPER: "--page"}
 _LOOKS: AnyDict = {
     **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor"), INK),
     **dict.fromkeys(("xtick.color", "ytick.color", "axes.titlecolor"), INK),
@@ -105,7 +110,7 @@ def as_svg(figure: Figure, name: str) -> str:
     text = re.sub(r'\bd="[^"]*"', _short, text)
     text = re.sub(r"<style.*?</style>", "", text, flags=re.DOTALL)  # it would count for the page
     for colour, follows in _FOLLOWS.items():
-        text = text.replace(colour, follows)
+        text = text.replace(colour, f"var({follows})")
     return text
 
 
@@ -114,91 +119,177 @@ def _short(way: re.Match[str]) -> str:
     return re.sub(r"(\.\d\d)\d+", r"\1", " ".join(way[0].split()))
 
 
-def envelope(time: Array, values: Array, points: int = POINTS) -> tuple[Array, Array]:
-    """Return a curve with few enough points that no peak is lost.
+@dataclass(frozen=True)
+class Curve:
+    """One curve.
 
-    Args:
-        time: shape (n,).
-        values: shape (n,) or (n, curves).
-        points: stretches of which the lowest and the highest value is drawn.
+    Attributes:
+        label: of it in the legend.
+        colour: of `COLOURS`, or another.
+        time: of its samples, rising, shape (n,); empty for a constant.
+        values: in the panel's unit, shape (n,), NaN or infinite where the curve has a gap; of a
+            constant its value, shape (1,).
+        dash: lengths of stroke and space in [pixels]; empty for a whole line.
     """
-    if len(values) <= 2 * points:
-        return time, values
-    each = math.ceil(len(values) / points)
-    starts = np.arange(0, len(values), each)
-    low, high = (f.reduceat(values, starts) for f in (np.minimum, np.maximum))
-    return np.repeat(time[starts], 2), np.stack([low, high], axis=1).reshape(-1, *values.shape[1:])
+
+    label: str
+    colour: str
+    time: Array
+    values: Array
+    dash: tuple[float, ...] = ()
 
 
-def curve(
-    axes: Any,
-    time: Array,
-    values: Array,
-    colour: str | None = None,
-    label: Any = None,
-    points: int = POINTS,
-    **look: Any,
-) -> None:
-    """Draw `envelope` of a curve, or of several."""
-    axes.plot(*envelope(time, values, points), color=colour, label=label, **look)
+@dataclass(frozen=True)
+class Panel:
+    """Curves that share their axes; several panels of a picture share the axis of time.
 
-
-def grid(figure: Any, count: int, columns: int, height: float, **shared: Any) -> Any:
-    """Return small axes in rows, and make the figure fit them.
-
-    Args:
-        figure: that has none yet.
-        count: of axes.
-        columns: of them in a row.
-        height: of a row in [inches].
-        shared: as of `Figure.subplots`.
+    Attributes:
+        title: of the panel.
+        unit: of the values; "" for none.
+        curves: in the order in which they are drawn.
+        shaded: stretches of time that are grey, from and to.
     """
-    lines = math.ceil(count / columns)
-    figure.set_size_inches(12.0, 0.7 + height * lines)
-    every = figure.subplots(lines, columns, squeeze=False, **shared).reshape(-1)
-    for axes in every[count:]:
-        axes.set_axis_off()
-    return every[:count]
+
+    title: str
+    unit: str
+    curves: Sequence[Curve]
+    shaded: Sequence[tuple[float, float]] = ()
 
 
-def zoomed(
-    figure: Any,
-    names: Sequence[str],
-    curves: Sequence[tuple[str, str, Array]],
-    squares: Array,
-    period: float,
-    begin: float = 0.0,
-    clock: str = "time [s]",
-) -> None:
-    """Draw joints over time, a row each, and the stretch that differs most once more at the right.
+def limits(label: str, *values: float) -> list[Curve]:
+    """Return dotted constants, those that are finite."""
+    none = np.zeros(0)
+    return [Curve(label, PALE, none, np.array([v]), (2, 3)) for v in values if math.isfinite(v)]
+
+
+@dataclass(frozen=True)
+class Lines:
+    """A picture of panels: for a page, or as one of `Pictures`.
+
+    Attributes:
+        of: returns the panels of what is drawn; none where there is nothing to show.
+        clock: what the axis of time is called, with its unit; pictures of one are linked.
+        columns: of panels.
+        height: of a panel in [inches].
+    """
+
+    of: Callable[..., Iterable[Panel]]
+    clock: str = "time [s]"
+    columns: int = 1
+    height: float = 1.9
+
+    def panels(self, *of: Any) -> list[Panel]:
+        """Return the panels that have a number, their curves as few values as there is room for.
+
+        Of a longer curve the lowest and the highest value of each stretch stay, so no peak is lost.
+        """
+        panels = [each for each in self.of(*of) if any(map(_finite, each.curves))]
+        room = ROOM // max(1, sum(len(each.curves) for each in panels))
+        return [
+            replace(each, curves=[envelope(c, room // 2) for c in each.curves]) for each in panels
+        ]
+
+    def __call__(self, figure: Any, *of: Any) -> bool:
+        """Draw the panels into a figure of matplotlib."""
+        panels = self.panels(*of)
+        if not panels:
+            return False
+        lines = math.ceil(len(panels) / self.columns)
+        figure.set_size_inches(12.0, 0.7 + self.height * lines)
+        every = figure.subplots(lines, self.columns, squeeze=False, sharex=True).reshape(-1)
+        for axes in every[len(panels) :]:
+            axes.set_axis_off()
+        for axes, panel in zip(every, panels):
+            draw(axes, panel)
+        handles = {k: h for axes in every for h, k in zip(*axes.get_legend_handles_labels())}
+        figure.legend(handles.values(), handles, loc="outside upper right", ncols=4)
+        figure.supxlabel(self.clock)
+        return True
+
+    def html(self, *of: Any) -> str:
+        """Return an element of a page with the panels; "" for none."""
+        panels, grids = self.panels(*of), dict[tuple[float, ...], int]()
+        shown = []
+        for panel in panels:
+            time = np.unique(np.concatenate([c.time[np.isfinite(c.time)] for c in panel.curves]))
+            at = grids.setdefault(tuple(np.round(time, 5).tolist()), len(grids))
+            curves = [
+                {
+                    "label": c.label,
+                    "colour": _FOLLOWS.get(c.colour, c.colour),
+                    "dash": c.dash,
+                    "y": plain([float(f"{y:.4g}") for y in _at(time, c).tolist()]),
+                }
+                for c in panel.curves
+            ]
+            shaded = plain([list(map(float, each)) for each in panel.shaded])
+            said = {"title": panel.title, "unit": panel.unit, "x": at, "shaded": shaded}
+            shown.append(said | {"curves": curves})
+        content = {"clock": self.clock, "height": 85 * self.height, "x": [*grids], "panels": shown}
+        # A name with </script> would end the element.
+        text = json.dumps(content, separators=(",", ":")).replace("<", "\\u003c")
+        least = 300 if self.columns > 1 else 2000
+        script = f'<script type="application/json">{text}</script>'
+        return f'<div class="plots" style="--least:{least}px">{script}</div>' if panels else ""
+
+
+def _finite(curve: Curve) -> bool:
+    return len(curve.time) > 0 and bool(np.isfinite(curve.values).any())
+
+
+def _at(time: Array, curve: Curve) -> Array:
+    """Return a curve's values at other times that hold its own: the line between is the same."""
+    if not len(curve.time):
+        return curve.values
+    return np.interp(time, curve.time, curve.values, math.nan, math.nan)
+
+
+def envelope(curve: Curve, points: int) -> Curve:
+    """Return a curve with at most two values, or three beside gaps, for each of some stretches.
 
     Args:
-        figure: that is filled.
-        names: of the joints.
-        curves: label, colour and values of each in [rad], shape (samples, joints).
-        squares: by which a sample differs, shape (samples, joints).
+        curve: to draw; its infinite values become gaps.
+        points: stretches of which the lowest and the highest value stay.
+    """
+    values = np.where(np.isfinite(curve.values), curve.values, math.nan)
+    count = len(values)
+    if count <= 2 * points:
+        return replace(curve, values=values)
+    starts = np.arange(0, count, math.ceil(count / points))
+    rows = [each.reduceat(values, starts) for each in (np.fmin, np.fmax)]
+    if np.isnan(values).any():
+        rows.append(np.add.reduceat(values, starts) * 0.0 + rows[1])
+    ends = np.append(starts[1:], count) - 1
+    times = np.linspace(curve.time[starts], curve.time[ends], len(rows), axis=1)
+    return replace(curve, time=times.reshape(-1), values=np.stack(rows, axis=1).reshape(-1))
+
+
+def draw(axes: Any, panel: Panel) -> None:
+    """Draw a panel with matplotlib."""
+    for c in panel.curves:
+        look = {"color": c.colour, "label": c.label, "linestyle": (0, c.dash) if c.dash else "-"}
+        if len(c.time):
+            axes.plot(c.time, c.values, **look)
+        else:
+            axes.axhline(c.values[0], **look)
+    for begin, end in panel.shaded:
+        axes.axvspan(begin, end, color="0.5", alpha=0.15)
+    axes.set_title(panel.title, loc="left")
+    axes.set_ylabel(f"[{panel.unit}]")
+
+
+def worst(squares: Array, period: float, begin: float = 0.0) -> tuple[float, float]:
+    """Return from when to when squares are largest together, `ZOOM_S` at most, in [s].
+
+    Args:
+        squares: by which each sample differs, shape (samples,).
         period: between two samples in [s].
         begin: time of the first one in [s].
-        clock: what the axis of time is called.
     """
-    figure.set_size_inches(12.0, 0.7 + 1.7 * len(names))
-    rows = figure.subplots(len(names), 2, squeeze=False, width_ratios=[2.0, 1.0])
     count = min(len(squares), max(2, round(ZOOM_S / period)))
-    for k, (left, right) in enumerate(rows):
-        sums = np.concatenate([[0.0], np.cumsum(squares[:, k])])
-        worst = int(np.argmax(sums[count:] - sums[:-count]))
-        for axes, first, last in ((left, 0, None), (right, worst, worst + count)):
-            for label, colour, values in curves:
-                seen = values[first:last, k]
-                time = begin + period * (first + np.arange(len(seen)))
-                curve(axes, time, seen, colour, label)
-        left.axvspan(*(begin + period * (worst + np.array([0, count]))), color="0.5", alpha=0.15)
-        left.set_title(names[k], loc="left")
-        left.set_ylabel("[rad]")
-    rows[0][0].legend(loc="upper right", ncols=len(curves))
-    rows[0][1].set_title(f"the {count * period:.3g} s that differ most")
-    for axes in rows[-1]:
-        axes.set_xlabel(clock)
+    sums = np.concatenate([[0.0], np.cumsum(squares)])
+    first = int(np.argmax(sums[count:] - sums[:-count]))
+    return begin + period * first, begin + period * (first + count)
 
 
 def drawings(
@@ -221,14 +312,17 @@ def drawings(
     for name, (fill, heading, caption) in pictures.items():
         tell(f"drawing {name}")
         try:
-            figure = drawn(fill, *of)
-            if figure is None:
+            shown = fill.html(*of) if isinstance(fill, Lines) and interactive() else ""
+            figure = None if shown and folder is None else drawn(fill, *of)
+            if figure is not None and not shown:
+                shown = as_svg(figure, name) + STILL * isinstance(fill, Lines)
+            if not shown:
                 continue
-            shown = figure_html(heading, caption, as_svg(figure, name))
+            shown = figure_html(heading, caption, shown)
         except Exception as error:
             why = f"could not be drawn: {type(error).__name__}: {error}"
             yield name, f"<h2>{html.escape(heading)}</h2><p>{html.escape(why)}</p>"
             continue
-        if folder is not None:
+        if folder is not None and figure is not None:
             write_file(folder / f"{name}.png", as_png(figure))
         yield name, shown

@@ -13,11 +13,26 @@ import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from unicon_base import UniconError, cannot
 
+STILL = "<!-- without uplot-python -->"
+"""Stands in a page with curves that would be interactive if that package were there."""
+QUESTIONS = (
+    *(
+        "Which joint",
+        "When",
+        "How fast",
+        "Did it fall",
+        "What was commanded",
+        "Where is it recorded",
+    ),
+)
+"""Of `answers`."""
 ROOM = "give a path in a writable folder with room"
 """The remedy where a file cannot be written."""
 _STYLE = """
@@ -42,7 +57,76 @@ th { vertical-align: bottom; font-weight: 600; }
 td:first-child, th:first-child { text-align: left; }
 th small { color: var(--pale); font-weight: 400; }
 .facts td, .words td, .words th { text-align: left; }
+dl.answers { display: grid; grid-template-columns: max-content 1fr; gap: .15em .9em;
+             margin: .8em 0; font-size: 14px; line-height: 1.4; }
+dt { color: var(--pale); } dd { margin: 0; } dd, h1, code { overflow-wrap: anywhere; }
+a { color: var(--mark); } code { user-select: all; font-size: 12px; }
+td code { display: block; min-width: 22em; }
+@media (max-width: 500px) { body { margin-top: .6em; } h1 { font-size: 1.25em; }
+                            dl.answers { grid-template-columns: 6em 1fr; font-size: 13px; } }
+.plots { display: grid;
+         grid-template-columns: repeat(auto-fill, minmax(min(100%, var(--least)), 1fr)); }
+.plots > div { min-width: 0; overflow: hidden; } .plots .u-series > * { padding: 1px; }
+.plots .u-title, .plots .u-legend { font-size: 12px; margin: 0; text-align: left; }
+.plots .u-select { background: rgba(128, 128, 128, .3); }
 """
+
+
+class Html(str):
+    """A text that is HTML already: cells and answers leave it as it is."""
+
+
+def escaped(text: str) -> str:
+    """Return a text as HTML."""
+    return text if isinstance(text, Html) else html.escape(text)
+
+
+def link(path: str | Path, folder: str | Path, text: str = "") -> Html:
+    """Return a link to a file.
+
+    Args:
+        path: of the file.
+        folder: of the page; the link is relative, so that both may be moved.
+        text: of the link; the path unless given.
+    """
+    there = quote(os.path.relpath(path, folder))
+    return Html(f'<a href="./{there}">{html.escape(text or place(path))}</a>')
+
+
+def shell(command: str) -> Html:
+    """Return a command that a click selects as a whole."""
+    return Html(f"<code>{html.escape(command)}</code>")
+
+
+def answers(*texts: str) -> str:
+    """Return the answers to `QUESTIONS`, one each, which begin a page; texts are escaped."""
+    rows = zip(QUESTIONS, texts, strict=True)
+    return (
+        f'<dl class="answers">{"".join(f"<dt>{q}</dt><dd>{escaped(a)}</dd>" for q, a in rows)}</dl>'
+    )
+
+
+def interactive() -> Path | None:
+    """Return the folder of uPlot, which makes plots interactive; None where it is not installed."""
+    found = find_spec("uplot")
+    folder = Path(found.origin).parent / "static" if found and found.origin else None
+    return folder if folder and (folder / "uPlot.iife.js").is_file() else None
+
+
+def _plots(shown: str) -> str:
+    """Return what draws the plots of a page, or how to get them."""
+    folder = interactive()
+    if STILL in shown:
+        return (
+            '<p class="sub">Curves to hover and zoom: pip install &#39;unicon_ros[pages]&#39;</p>'
+        )
+    if folder is None or '<div class="plots"' not in shown:
+        return ""
+    code, style = (
+        (folder / name).read_text("utf-8") for name in ("uPlot.iife.js", "uPlot.min.css")
+    )
+    ours = Path(__file__).with_name("plots.js").read_text("utf-8")
+    return f"<style>{style}</style><script>{code}</script><script>{ours}</script>"
 
 
 def page(title: str, below: str, parts: Iterable[str], width: int = 1150) -> str:
@@ -54,6 +138,7 @@ def page(title: str, below: str, parts: Iterable[str], width: int = 1150) -> str
         parts: of the body, as HTML.
         width: of its text at most, [pixels].
     """
+    shown = "\n".join(parts)
     return "\n".join(
         [
             "<!DOCTYPE html>",
@@ -63,8 +148,8 @@ def page(title: str, below: str, parts: Iterable[str], width: int = 1150) -> str
             f"<title>{html.escape(title)}</title><style>{_STYLE}</style></head>",
             f'<body style="max-width: {width}px"><h1>{html.escape(title)}</h1>',
             f'<p class="sub">{html.escape(below)}</p>',
-            *parts,
-            "</body></html>\n",
+            shown,
+            f"{_plots(shown)}</body></html>\n",
         ]
     )
 
@@ -90,11 +175,11 @@ def findings(texts: Iterable[str], *, bad: bool = False) -> str:
         bad: something went wrong, which the box shows.
     """
     kind = "findings bad" if bad else "findings"
-    return f'<ul class="{kind}">{"".join(f"<li>{html.escape(text)}</li>" for text in texts)}</ul>'
+    return f'<ul class="{kind}">{"".join(f"<li>{escaped(text)}</li>" for text in texts)}</ul>'
 
 
 def pairs(facts: Mapping[str, str]) -> str:
-    """Return a table of names and what is said of them; both are escaped."""
+    """Return a table of names and what is said of them; both are escaped, but for `Html`."""
     return f'<div class="wide"><table class="facts">{_rows(facts.items())}</table></div>'
 
 
@@ -113,7 +198,7 @@ def table(heads: Sequence[str], rows: Iterable[Sequence[str]], *, words: bool = 
 
 def _rows(rows: Iterable[Sequence[str]]) -> str:
     return "".join(
-        f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in row)}</tr>" for row in rows
+        f"<tr>{''.join(f'<td>{escaped(cell)}</td>' for cell in row)}</tr>" for row in rows
     )
 
 

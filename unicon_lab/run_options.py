@@ -185,7 +185,7 @@ def attachments(asked: Asked) -> Iterator[Attachment]:
     if picture or page:
         from unicon_lab.report.run_page import Pictured
 
-        yield Pictured(picture, page)
+        yield Pictured(picture, page, get("record") or "")
     if get("view") == "window":
         yield _Window()
     elif get("view"):

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from made_runs import CALF, LEGS, save, walk
-from pages import read_page
+from pages import answered, read_page
 from replaying import cut_off
 
 from unicon_lab.analysis.comparison import Comparison, compare_runs
@@ -72,7 +72,10 @@ def test_the_report_names_the_weak_motor_and_needs_nothing_beside_it(
     page = (out / "report.html").read_text("utf-8")
     assert "&lt;real&gt;.npz" in page
     assert "<real>" not in page
-    shown = read_page(page)
+    shown, found = read_page(page), answered(page)
+    assert found["Which joint"].startswith("RL_calf differs most, by 0.")
+    assert found["When"].startswith("differs most from ")
+    assert 'href="./../../%3Creal%3E.npz"' in page
     assert list(shown.pictures) == [heading for _, heading, _ in PICTURES.values()]
     assert min(shown.pictures.values()) > 30
     for name in PICTURES:

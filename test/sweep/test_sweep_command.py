@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pages import looked_at, read_page
+from pages import answered, looked_at, read_page
 
 from benchmarks.samples import random_policy
 from unicon_base.errors import MissingDependencyError, UniconError
@@ -434,7 +434,12 @@ def test_dry_tells_the_plan_and_writes_nothing(
 
 def test_the_report_is_one_page_with_all_that_matters(done: Path) -> None:
     page = read_page((done / "report.html").read_text("utf-8"))
-    results = Results(done)
+    results, found = Results(done), answered((done / "report.html").read_text("utf-8"))
+    worst = results.row(results.worst(1)[0])
+    assert f"row {worst['row']}, the worst" in found["Which joint"]
+    assert f"row {worst['row']}, the worst" in found["When"]
+    assert found["Did it fall"] == fall_words(results)
+    assert found["Where is it recorded"].endswith(results.command(results.worst(1)[0]))
     assert results.command(results.worst(1)[0]) in page.text
     for words in ("Falls over each parameter", "Worst cases", results.sha256, "20 rollouts"):
         assert words in page.text
@@ -459,7 +464,26 @@ def test_texts_of_others_are_shown_to_the_letter(tmp_path: Path) -> None:
     (tmp_path / "walks.yaml").write_text(text)
     page = write_report(Results(run_here(tmp_path))).read_text("utf-8")
     assert "<script" not in page
-    assert len(read_page(page).pictures) == 2
+    assert [row[1] for row in read_page(page).table("parameter")[1:5]] == [
+        each[-24:] for each in words
+    ]
+    assert "→" not in page  # eight places of one rollout each are no map
+
+
+def test_maps_are_drawn_where_places_have_numbers_enough(tmp_path: Path) -> None:
+    text = "workflow: go2_stand\nduration: 0.02\nsample: random\nrollouts: {}\n"
+    text += "vary: {{scene.noise.joint_vel: {{uniform: [0, 1]}}, scene.delay: [0, 1]}}\n"
+    for count, maps in ((39, 0), (48, 1)):
+        (tmp_path / str(count)).mkdir()
+        (tmp_path / str(count) / "walks.yaml").write_text(text.format(count))
+        page = write_report(Results(run_here(tmp_path / str(count)))).read_text("utf-8")
+        assert page.count("→") == maps
+        assert "a place has a colour from 10 rollouts on" in page
+    cells = [cell for row in read_page(page).table("scene.delay")[1:] for cell in row[1:]]
+    assert sum(int(cell.split("/")[1]) for cell in cells) == 48
+    enough = sum(int(cell.split("/")[1]) >= 10 for cell in cells)
+    assert page.count("<span style=") == enough > 0
+    assert (tmp_path / "48").exists()
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pages import read_page
+from pages import answered, read_page
 
 from unicon_base.resources import sha256_of
 from unicon_core.robots import load_robot
@@ -266,7 +266,10 @@ def test_the_page_needs_nothing_beside_it_and_tells_what_it_shows(
 ) -> None:
     out = transfer[0]
     page = (out / "report.html").read_text("utf-8")
-    shown = read_page(page)
+    shown, found = read_page(page), answered(page)
+    assert "differs most from" in found["Which joint"]
+    assert "(95 %: " in found["Did it fall"]
+    assert page.count('<a href="./runs/') == 2
     assert list(shown.pictures) == [heading for _, heading, _ in PICTURES.values()]
     assert min(shown.pictures.values()) > 30
     for heading, unit, meaning in COLUMNS.values():

@@ -14,10 +14,22 @@ from unicon_base.arrays import Bool
 from unicon_core import __version__
 from unicon_core.check.subject import listed
 from unicon_core.drawing import drawings
-from unicon_core.page import findings, number, page, pairs, table, write_file, write_json
+from unicon_core.page import (
+    Html,
+    answers,
+    findings,
+    link,
+    number,
+    page,
+    pairs,
+    table,
+    write_file,
+    write_json,
+)
 from unicon_lab.analysis.comparison import FACTOR, LAG_S, SIDES, Comparison, gap_spread
-from unicon_lab.analysis.pictures import PICTURES
+from unicon_lab.analysis.pictures import PICTURES, worst_of
 from unicon_lab.analysis.run import Run
+from unicon_lab.report import words
 
 SCHEMA = "unicon.analysis/1"
 STEPS = 3
@@ -83,6 +95,7 @@ def write_report(
     facts |= {key: str(result[key]) for key in ("method", "shift_s", "samples", "ranked_by")}
     facts |= {key: number(value) for key, value in comparison.states["joint_pos"].items()}
     parts = [
+        _answers(comparison, runs, folder),
         findings(said),
         "<h2>What differed first</h2>",
         table(HEADS, chain_rows(comparison.divergence)),
@@ -99,6 +112,15 @@ def write_report(
     write_json(folder / "analysis.json", result)
     write_file(folder / "report.html", text.encode())
     return result
+
+
+def _answers(comparison: Comparison, runs: tuple[Run, Run], folder: Path) -> str:
+    real, sim = (words(run.states, comparison.together.period) for run in runs)
+    fast, fell, asked = (a if a == b else f"real {a}; simulated {b}" for a, b in zip(real, sim))
+    begin, end = worst_of(comparison)
+    when = f"differs most from {begin:.2f} to {end:.2f} s of the real run"
+    where = " and ".join(link(run.path, folder, run.path.name) for run in runs)
+    return answers(_ranked(comparison), when, fast, fell, asked, Html(where))
 
 
 HEADS = ("signal", "rank", "first in", "from [s]", "RMS of difference", "÷ variation")

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from shlex import quote
+from typing import TYPE_CHECKING
 
 from unicon_base import UniconError
 from unicon_core.page import (
-    figure,
+    Html,
+    answers,
     findings,
+    link,
     page,
     plain,
     refuse_existing,
     refuse_unwritable,
+    shell,
     table,
     write_file,
     write_json,
@@ -25,7 +29,9 @@ from unicon_ros.cli.console import Console, print_table
 from unicon_ros.cli.options import Adder, argument, command, flag, option, positive, together
 
 if TYPE_CHECKING:
+    from unicon_core.drawing import Panel
     from unicon_lab.diagnose import Cause, Diagnosis, Shown
+    from unicon_lab.recording import Record
 
 
 def _diagnose(arguments: argparse.Namespace) -> int:
@@ -76,41 +82,68 @@ def _diagnose(arguments: argparse.Namespace) -> int:
     if arguments.json:
         write_json(Path(arguments.json), plain(asdict(found)), folders=True)
     if arguments.html:
-        write_file(Path(arguments.html), _page(path.name, found).encode(), folders=True)
+        write_file(
+            Path(arguments.html),
+            _page(record, path, Path(arguments.html), found).encode(),
+            folders=True,
+        )
     return 0 if found.complete else 130
 
 
 _HEADS = ("", "cause", "probability", "change", "95 % interval")
 
 
-def _page(name: str, found: Diagnosis) -> str:
+def _page(record: Record, path: Path, out: Path, found: Diagnosis) -> str:
     """Return the page: what was found, each cause with its evidence as a drawing."""
-    from unicon_core.drawing import as_svg, drawn
+    from unicon_core.drawing import Lines, drawings
 
     rows = [_row(number, cause) for number, cause in enumerate(found.causes, 1)]
-    parts = [table(_HEADS, rows, words=True)] if rows else []
+    parts = [_answers(record, path, out, found)]
+    parts += [table(_HEADS, rows, words=True)] if rows else []
     for number, cause in enumerate(found.causes, 1):
         said = [f"{number}. {cause.name}", cause.evidence]
         said += [f"The record does not tell it from {', '.join(cause.alike)}."] * bool(cause.alike)
         parts.append(findings([*said, *[f"Remedy: {cause.remedy}"] * bool(cause.remedy)]))
-        if cause.shown is not None and (drawing := drawn(_evidence, cause.shown)):
-            parts.append(figure(cause.shown.signal, cause.name, as_svg(drawing, f"cause{number}")))
+        if cause.shown is not None:
+            picture = {f"cause{number}": (Lines(_evidence), cause.shown.signal, cause.name)}
+            parts += [shown for _, shown in drawings(picture, cause.shown)]
     parts += [findings(found.notes)] if found.notes else []
     title = found.causes[0].name if found.causes else "nothing found"
-    return page(f"{name}: {title}", f"unicon diagnose, {found.windows} windows", parts)
+    return page(f"{path.name}: {title}", f"unicon diagnose, {found.windows} windows", parts)
 
 
-def _evidence(figure: Any, shown: Shown) -> bool:
-    from unicon_core.drawing import INK, MARK, PALE
+def _answers(record: Record, path: Path, out: Path, found: Diagnosis) -> str:
+    from unicon_lab.report import ANSWERING, words
 
-    figure.set_size_inches(7.0, 2.6)
-    axes = figure.add_subplot()
-    axes.plot(shown.time, shown.record, color=INK, label="record")
-    axes.plot(shown.time, shown.without, color=PALE, label="without the cause")
-    axes.plot(shown.time, shown.with_it, color=MARK, label="with the cause")
-    axes.set(xlabel="time [s]", ylabel=f"[{shown.unit}]")
-    axes.legend(loc="best")
-    return True
+    joint = "none: no cause explains the record better than noise does"
+    when = f"at no time of {found.windows} windows from beginning to end"
+    if found.causes:
+        first = found.causes[0]
+        change, interval = first.figures()
+        joint = f"{first.where or 'all of the robot'}: {first.name}, {first.probability:.0%}"
+        joint += f", {change} (95 %: {interval})" * bool(change)
+        when = "from beginning to end: the contract differs"
+        if first.shown:
+            time = first.shown.time
+            when = f"{first.shown.signal} shows it from {time[0]:.2f} to {time[-1]:.2f} s"
+    there = [name for name in ANSWERING if name in record.layout.slots]
+    states = {name: record.states(name)[record.ended] for name in there}
+    where = Html(f"{link(path, out.parent)} {shell(f'unicon view {quote(str(path))}')}")
+    return answers(joint, when, *words(states, record.period), where)
+
+
+def _evidence(shown: Shown) -> Iterator[Panel]:
+    import numpy as np
+
+    from unicon_core.drawing import INK, MARK, PALE, Curve, Panel
+
+    sides = (
+        ("record", INK, shown.record, ()),
+        ("without the cause", PALE, shown.without, (6, 3)),
+        ("with the cause", MARK, shown.with_it, ()),
+    )
+    time = np.array(shown.time)
+    yield Panel("", shown.unit, [Curve(a, b, time, np.array(y), dash) for a, b, y, dash in sides])
 
 
 def _print(name: str, found: Diagnosis) -> None:

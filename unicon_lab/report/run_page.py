@@ -8,14 +8,28 @@ import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING
 
 from unicon_core import __version__
 from unicon_core.drawing import drawings
-from unicon_core.page import findings, number, page, pairs, place, table, write_file
+from unicon_core.page import (
+    Html,
+    answers,
+    findings,
+    link,
+    number,
+    page,
+    pairs,
+    place,
+    shell,
+    table,
+    write_file,
+)
 from unicon_core.runtime.phases import describe
 from unicon_lab.recording.run_recording import facts_of
-from unicon_lab.report.pictures import PICTURES, beyond, write_overview
+from unicon_lab.report import ANSWERING, words
+from unicon_lab.report.pictures import PICTURES, beyond, nearest, write_overview
 from unicon_lab.report.run_samples import Keeper
 from unicon_ros.attachments import File
 
@@ -23,7 +37,7 @@ if TYPE_CHECKING:
     from unicon_core.runtime import Report, Runner
 
 MOST_TOLD = 4
-"""Joints beyond a limit that are named at the head; the pictures show all of them red."""
+"""Joints beyond a limit that are named at the head; the table has all."""
 
 
 class Pictured(Keeper):
@@ -32,6 +46,7 @@ class Pictured(Keeper):
     Args:
         picture: path of the PNG, or "".
         page: path of the page, or "".
+        recorded: path of the run's recording, or "".
 
     Attributes:
         page: as given.
@@ -40,9 +55,9 @@ class Pictured(Keeper):
         MissingDependencyError: matplotlib is not installed.
     """
 
-    def __init__(self, picture: str | None, page: str | Path) -> None:
+    def __init__(self, picture: str | None, page: str | Path, recorded: str | Path = "") -> None:
         super().__init__("--picture" if picture else "--report FILE.html")
-        self._picture, self.page = picture or "", page
+        self._picture, self.page, self._recorded = picture or "", page, recorded
 
     def attach(self, runner: Runner) -> None:
         """Get to know the runner, before its first tick: its files may be others later."""
@@ -73,15 +88,20 @@ class Pictured(Keeper):
             UniconError: the page cannot be written.
         """
         parts = [
+            self._answers(report),
             findings(self._said(report), bad=bool(report.faults or report.fell)),
             "<h2>Run</h2>",
             pairs(self._about(report)),
         ]
-        for name, shown in drawings(PICTURES, self):
-            parts.append(shown)
-            if name == "ranges":
-                parts += ["<h2>Every joint</h2>", self._joints()]
-        parts += ["<h2>Blocks</h2>", self._blocks(report), "<h2>Phases</h2>", self._in_phases()]
+        parts += [shown for _, shown in drawings(PICTURES, self)]
+        parts += [
+            "<h2>Every joint</h2>",
+            self._joints(),
+            "<h2>Blocks</h2>",
+            self._blocks(report),
+            "<h2>Phases</h2>",
+            self._in_phases(),
+        ]
         if report.traceback:
             parts += ["<h2>Traceback</h2>", f"<pre>{html.escape(report.traceback)}</pre>"]
         parts += [
@@ -94,6 +114,20 @@ class Pictured(Keeper):
         many = "" if robots is None else f"; the first of {robots} robots is shown"
         text = page(_title(report), f"begun {self._begun}{many}", parts)
         write_file(Path(self.page), text.encode(), folders=True)
+
+    def _answers(self, report: Report) -> str:
+        joint, when = nearest(self) if self.ticks else ("no tick was run", "–")
+        states = {name: self.first(name) for name in ANSWERING if self.has(name)}
+        fast, fell, asked = words(states, self.stride * self.period)
+        if report.fell is None:
+            fell = f"cannot fall: {report.base_moved()}"
+        recorded = self._recorded or report.extra.get("fault_record", "")
+        folder = Path(self.page).parent
+        where = f"not recorded; {shell(f'unicon run {report.workflow} --record FILE.mcap')}"
+        if recorded:
+            where = f"{link(recorded, folder)} {shell(f'unicon view {quote(place(recorded))}')}"
+        joint_at = f"{when} of {report.duration_s:.2f} s"
+        return answers(joint, joint_at, fast, fell, asked, Html(where))
 
     def _said(self, report: Report) -> list[str]:
         """Return what stands out, most important first."""
@@ -111,7 +145,10 @@ class Pictured(Keeper):
         if past := beyond(self):
             more = f" and {len(past) - MOST_TOLD} more" if len(past) > MOST_TOLD else ""
             tripped = "" if report.faults else "; no safety block stopped the run for it"
-            said.append(f"Beyond a limit: {'; '.join(past[:MOST_TOLD])}{more}{tripped}.")
+            said.append(
+                f"Beyond a limit: {'; '.join(past[:MOST_TOLD])}{more}{tripped}. A real joint meets "
+                "its stop at a position limit; at its effort limit a motor gives no more."
+            )
         for name, when in self.unfit().items():
             said.append(f"{name} was not a number, first at {when:.2f} s: a gap in the curves.")
         if report.ticks and report.overruns:

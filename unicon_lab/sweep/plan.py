@@ -49,6 +49,11 @@ class Row:
     name: str = ""
 
 
+def row_name(index: int) -> str:
+    """Return the name of the file with a row's states, without its ending."""
+    return f"row_{index:06d}"
+
+
 class Plan:
     """All rollouts of a sweep.
 
@@ -98,8 +103,7 @@ class Plan:
         settings = [setting_of(p.path, value) for p, value in zip(sweep.parameters, values)]
         if sweep.said.repeat > 1:
             settings.append(setting_of("scene.seed", self._seed + repetition))
-        name = f"row_{index:06d}"
-        return Row(index, repetition, values, (*sweep.settings, *settings), name)
+        return Row(index, repetition, values, (*sweep.settings, *settings), row_name(index))
 
     def _point(self, point: int) -> tuple[Any, ...]:
         parameters = self.sweep.parameters

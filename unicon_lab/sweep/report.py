@@ -1,9 +1,10 @@
-"""Report of a sweep: one page that needs nothing beside it, with pictures of falls."""
+"""Report of a sweep: one page that needs nothing beside it, with maps of falls."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
 from pathlib import Path
@@ -13,10 +14,21 @@ import numpy as np
 
 from unicon_base import UniconError, imported
 from unicon_base.arrays import Bool, Int64
-from unicon_core.drawing import MARK, Pictures, drawings, grid, require
-from unicon_core.page import findings, number, page, pairs, table, write_file
+from unicon_core.page import (
+    Html,
+    answers,
+    findings,
+    link,
+    number,
+    page,
+    pairs,
+    shell,
+    table,
+    write_file,
+)
 from unicon_core.text_table import aligned
 from unicon_lab.sweep.figures import COLUMNS, NUMBERS
+from unicon_lab.sweep.plan import STATES, row_name
 from unicon_lab.sweep.results import Results, wilson
 
 HEADS = ("figure", "unit", "mean", "std", "p05", "p50", "p95", "worst row")
@@ -175,17 +187,16 @@ def write_report(results: Results) -> Path:
         The page.
 
     Raises:
-        MissingDependencyError: matplotlib is not installed.
         UniconError: it cannot be written.
     """
-    require("unicon sweep report")
     parts = [
+        _answers(results),
         _said(results),
         "<h2>Figures</h2>",
         table(HEADS, figure_rows(results)),
-        *(shown for _, shown in drawings(PICTURES, results)),
+        *_falls(results),
         "<h2>Worst cases</h2>",
-        '<p class="sub">Each command runs its row again, to the bit: its report (--report FILE) '
+        '<p class="sub">Each command runs its row again, bit-exact: its report (--report FILE) '
         "has the same sha256_commands.</p>",
         _worst(results),
         "<h2>What the figures say</h2>",
@@ -197,6 +208,39 @@ def write_report(results: Results) -> Path:
     title = f"{results.identity['workflow']}: {len(results)} rollouts"
     write_file(path, page(title, _varied(results), parts).encode())
     return path
+
+
+def _answers(results: Results) -> str:
+    """Return the answers: of all rows where they have one, else of the worst row."""
+    place = next(iter(results.worst(1)), None)
+    if place is None:
+        return answers(*["no rollout has run yet"] * 6)
+    row = results.row(place)
+    name = f"row {row['row']}, the worst"
+    hits = f"{row['position_limit_hits'] or 0} at a position, {row['effort_limit_hits'] or 0} at an"
+    fault = (row["text"] or "no fault")[:120]
+    joint = f"rows keep none; {name}: {hits} effort limit (ticks × joints); {fault}"
+    end = f"ended at {number(row['duration_s'])} s: {row['outcome']}"
+    when = f"{name}, fell at {row['fall_s']:.2f} s" if row["fell"] else f"{name}, {end}"
+
+    def every(key: str) -> str:
+        found = [(way or 0.0) / s for way, s in zip(*map(results.column, (key, "duration_s"))) if s]
+        if not found:
+            return "not known: no rollout has a tick"
+        low, middle, high = np.percentile(found, [2.5, 50.0, 97.5])
+        return f"{middle:.2f} m/s in the middle row (95 % of the rows: {low:.2f} to {high:.2f})"
+
+    asked = f"{every('commanded_m')}; {name}: {', '.join(results.settings(place)) or 'as the file'}"
+    return answers(
+        joint, when, every("distance_m"), fall_words(results), asked, _recording(results, place)
+    )
+
+
+def _recording(results: Results, place: int) -> Html:
+    """Return a link to the states of a row, where they are kept, and the command of the row."""
+    path = results.path / STATES / f"{row_name(results.rows[place])}.npz"
+    there = f"{link(path, results.path, path.name)} " if path.exists() else ""
+    return Html(f"{there}{shell(results.command(place))}")
 
 
 def _varied(results: Results) -> str:
@@ -230,7 +274,7 @@ def _worst(results: Results) -> str:
                 *(number(row[name]) for name in figures),
                 str(row["fault_block"] or ""),
                 str(row["text"] or "")[:120],
-                results.command(place),
+                _recording(results, place),
             ]
         )
     return table(["row", "outcome", *heads, "block", "said", "command"], rows, words=True)
@@ -258,8 +302,9 @@ BINS, PAIR_BINS = 8, 6
 MOST_VALUES = 16
 """That have a place each, of words."""
 MOST_PAIRED = 6
-"""Parameters of which every pair is drawn: 15 maps."""
-ACROSS = 3
+"""Parameters of which every pair has a map: 15."""
+ENOUGH = 10
+"""Rollouts of a place in a map: of fewer the 95 % interval of a share is wider than 0.28."""
 
 
 @dataclass(frozen=True)
@@ -302,78 +347,46 @@ def bins_of(path: str, values: Sequence[Any], most: int) -> Bins:
     ordered = sorted(distinct) if numbers else distinct
     shown, rest = ordered[:MOST_VALUES], ordered[MOST_VALUES:]
     at = {value: place for place, value in enumerate(shown)} | dict.fromkeys(rest, len(shown))
-    labels = [f"{value:.4g}" if numbers else _shown(str(value)[-24:]) for value in shown]
+    labels = [f"{value:.4g}" if numbers else str(value)[-24:] for value in shown]
     labels += ["others"] if rest else []
     return Bins(path, labels, np.array([at[value] for value in values], np.int64))
 
 
-def _shown(text: str) -> str:
-    """Return a text as matplotlib draws it to the letter: between two $ it would read formulas."""
-    return text.replace("$", r"\$")
+def _falls(results: Results) -> Iterator[str]:
+    """Yield how many fell over each parameter, but for the seed, which has no order; and over two.
+
+    All other parameters vary as well.
+    """
+    hits = np.array(results.column("fell"), np.bool_)
+    paths = [path for path in results.parameters if path != "scene.seed" and len(hits)]
+    if not paths:
+        return
+    rows = [
+        [bins.path, label, f"{some} of {count}", _share(some, count)]
+        for bins in (bins_of(path, results.varied(path), BINS) for path in paths)
+        for label, (some, count) in zip(bins.labels, bins.count(hits))
+        if count
+    ]
+    yield "<h2>Falls over each parameter</h2>"
+    yield table(["parameter", "value", "fell", "share (95 %)"], rows, words=True)
+    most = max(2, min(PAIR_BINS, math.isqrt(len(hits) // ENOUGH)))
+    every = [bins_of(path, results.varied(path), most) for path in paths[:MOST_PAIRED]]
+    yield (
+        "<h2>Falls over two parameters</h2>"
+        f'<p class="sub">Fallen of all; a place has a colour from {ENOUGH} rollouts on, two '
+        "parameters a map where their places have as many on average.</p>"
+    )
+    for across, up in combinations(every, 2):
+        wide = len(across.labels)
+        if len(hits) >= ENOUGH * wide * len(up.labels):
+            both = Bins("", [""] * (wide * len(up.labels)), up.places * wide + across.places)
+            cells = [*map(_cell, both.count(hits))]
+            rows = [[label, *cells[k * wide :][:wide]] for k, label in enumerate(up.labels)]
+            yield table([f"{up.path}\n{across.path} →", *across.labels], rows)
 
 
-def _binned(results: Results, most: int) -> tuple[list[Bins], Bool]:
-    """Return the bins of each parameter, but of the seed: it has no order; and who fell."""
-    paths = [path for path in results.parameters if path != "scene.seed" and results.good]
-    bins = [bins_of(_shown(path), results.varied(path), most) for path in paths]
-    return bins, np.array(results.column("fell"), np.bool_)
-
-
-def _each(figure: Any, results: Results) -> bool:
-    shown, hits = _binned(results, BINS)
-    if not shown:
-        return False
-    every = grid(figure, len(shown), ACROSS, 3.1, sharey=True)
-    for axes, bins in zip(every, shown):
-        places = np.arange(len(bins.labels))
-        counts = bins.count(hits)
-        rates = np.array([some / count if count else np.nan for some, count in counts])
-        ends = np.array([wilson(*each) for each in counts])
-        axes.vlines(places, ends[:, 0], ends[:, 1], color=MARK, linewidth=2.0, alpha=0.5)
-        axes.plot(places, rates, "o", color=MARK)
-        axes.set_xticks(places, bins.labels, rotation=35, ha="right", fontsize=7)
-        axes.set_title(bins.path)
-        axes.set_ylim(-0.03, 1.03)
-    for axes in every[::ACROSS]:
-        axes.set_ylabel("share that fell")
-    return True
-
-
-def _pairs(figure: Any, results: Results) -> bool:
-    shown, hits = _binned(results, PAIR_BINS)
-    pairs = list(combinations(shown[:MOST_PAIRED], 2))
-    if not pairs:
-        return False
-    for axes, (across, up) in zip(grid(figure, len(pairs), ACROSS, 3.6), pairs):
-        shape = (len(up.labels), len(across.labels))
-        every, some = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
-        np.add.at(every, (up.places, across.places), 1)
-        np.add.at(some, (up.places[hits], across.places[hits]), 1)
-        rates = np.where(every > 0, some / np.maximum(every, 1), np.nan)
-        axes.imshow(rates, cmap="Reds", vmin=0.0, vmax=1.0, origin="lower", aspect="auto")
-        for (i, k), count in np.ndenumerate(every):
-            if count:
-                ink = "white" if rates[i, k] > 0.6 else "black"
-                text = f"{some[i, k]}/{count}"
-                axes.text(k, i, text, ha="center", va="center", fontsize=6, color=ink)
-        axes.set_xticks(range(shape[1]), across.labels, rotation=35, ha="right", fontsize=6)
-        axes.set_yticks(range(shape[0]), up.labels, fontsize=6)
-        axes.grid(False)
-        axes.set(xlabel=across.path, ylabel=up.path)
-    return True
-
-
-PICTURES: Pictures = {
-    "falls": (
-        _each,
-        "Falls over each parameter",
-        "Share of rollouts that fell, with Wilson's 95 % interval; all others vary as well. "
-        "Numbers are in stretches with equally many rollouts.",
-    ),
-    "pairs": (
-        _pairs,
-        "Falls over two parameters",
-        "Share that fell, dark is more; in each place those that fell of those there are.",
-    ),
-}
-"""Name to what draws it, heading and caption."""
+def _cell(counts: tuple[int, int]) -> str:
+    some, count = counts
+    look = f"background: color-mix(in srgb, var(--hot) {60 * some // max(count, 1)}%, transparent)"
+    text = f"{some}/{count}"
+    return text if count < ENOUGH else Html(f'<span style="{look}">{text}</span>')

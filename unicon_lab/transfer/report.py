@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from unicon_base import AnyMapping
 from unicon_base.arrays import Array
-from unicon_core.drawing import Pictures, curve, drawings, grid, zoomed
-from unicon_core.page import findings, page, pairs, table, write_file
-from unicon_lab.transfer.results import COLUMNS, FACTORS, OUTCOMES, cell, heads, row
+from unicon_core.drawing import COLOURS, INK, Curve, Lines, Panel, Pictures, drawings, worst
+from unicon_core.page import Html, answers, findings, link, page, pairs, table, write_file
+from unicon_lab.report import ANSWERING, words
+from unicon_lab.sweep.results import wilson
+from unicon_lab.transfer.results import COLUMNS, OUTCOMES, cell, heads, row
 
 _WORDS = {
     "runs": "how many of the runs that were asked for have come to an end",
@@ -36,6 +37,7 @@ def write_report(result: AnyMapping, folder: Path) -> Path:
     """
     tracks = tracks_of(result, folder)
     parts = [
+        _answers(result, tracks),
         _said(result),
         "<h2>Comparison</h2>",
         table(heads("\n{}"), [row(each) for each in result["platforms"]]),
@@ -52,6 +54,28 @@ def write_report(result: AnyMapping, folder: Path) -> Path:
     title = f"{workflow['name']} in {len(result['platforms'])} simulators"
     write_file(path, page(title, workflow["description"], parts).encode())
     return path
+
+
+def _answers(result: AnyMapping, tracks: Tracks) -> str:
+    order, squares = most_apart(result, tracks)
+    joint, when = "none: there are no two runs to compare", "at no time"
+    if len(order):
+        k, period = order[0], result["period_s"]
+        names, off = tracks[result["first"]]["joint_names"], squares[:, k].mean() ** 0.5
+        joint = f"{names[k]} differs most from {result['first']}, by {off:.2g} rad RMS"
+        begin, end = worst(squares[:, k], period)
+        when = f"most from {begin:.2f} to {end:.2f} s of the first runs"
+    said = {name: words(states, result["period_s"]) for name, states in tracks.items()}
+    fast = "; ".join(f"{name} {each[0]}" for name, each in said.items()) or "no run"
+    asked = "; ".join(dict.fromkeys(each[2] for each in said.values())) or "no run"
+    fell = "; ".join(
+        f"{p['platform']} {p['falls']} of {p['runs_done']} (95 %: {low:.0%} to {high:.0%})"
+        for p in result["platforms"]
+        for low, high in [wilson(p["falls"], p["runs_done"])]
+    )
+    ran = [[r for r in p["runs"] if r["outcome"] == "ran"] for p in result["platforms"]]
+    files = [link(runs[0]["file"], "") for runs in ran if runs]
+    return answers(joint, when, fast, fell, asked, Html(", ".join(files) or "no run"))
 
 
 def _said(result: AnyMapping) -> str:
@@ -134,7 +158,8 @@ def tracks_of(result: AnyMapping, folder: Path) -> dict[str, dict[str, Array]]:
             count = run["finite_rows"]
             states = {
                 name: archive[name]
-                for name in ("joint_names", "joint_pos", "base_pos_w", "velocity_command")
+                for name in ("joint_names", "joint_pos", "base_pos_w", *ANSWERING)
+                if name in archive
             }
         named = states.pop("joint_names")
         tracks[platform["platform"]] = {n: rows[:count] for n, rows in states.items()} | {
@@ -143,93 +168,66 @@ def tracks_of(result: AnyMapping, folder: Path) -> dict[str, dict[str, Array]]:
     return tracks
 
 
-def _figures(figure: Any, result: AnyMapping, tracks: Tracks) -> bool:
-    shown = [p for p in result["platforms"] if p["runs_done"]]
-    keys = [k for k in COLUMNS if any(p["figures"][k]["mean"] is not None for p in shown)]
-    if not keys:
-        return False
-    every = grid(figure, len(keys), 4, 1.0 + 0.35 * len(shown), sharey=True)
-    names = [p["platform"] for p in shown]
-    for axes, key in zip(every, keys):
-        heading, unit, _ = COLUMNS[key]
-        factor = FACTORS.get(key, 1.0)
-        for place, platform in enumerate(shown):
-            told = platform["figures"][key]
-            if told["mean"] is None:
-                continue
-            low_high = None if told["std"] is None else factor * told["std"]
-            look = {"color": f"C{place % 10}", "alpha": 0.8, "capsize": 3, "ecolor": "0.5"}
-            axes.barh(place, factor * told["mean"], xerr=low_high, **look)
-        axes.set_title(f"{heading} [{unit}]")
-        axes.set_yticks(range(len(names)), names)
-        axes.locator_params(axis="x", nbins=5)
-    every[0].invert_yaxis()
-    return True
-
-
-def _paths(figure: Any, result: AnyMapping, tracks: Tracks) -> bool:
-    if not tracks:
-        return False
-    figure.set_size_inches(12.0, 5.0)
-    left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.4])
-    period = result["period_s"]
-    width = max(1, round(SMOOTH_S / period))
-    longest = np.zeros((0, 3))
-    for place, (name, states) in enumerate(tracks.items()):
-        way, colour = states["base_pos_w"], f"C{place % 10}"
-        left.plot(way[:, 0], way[:, 1], color=colour, linewidth=1.2, label=name)
-        left.plot(way[-1:, 0], way[-1:, 1], "s", color=colour, markersize=5)
-        if len(way) > 2 * width:
-            moved = np.linalg.norm((way[width:] - way[:-width])[:, :2], axis=1)
-            time = period * (np.arange(len(moved)) + width / 2)
-            curve(right, time, moved / (width * period), colour)
-        if len(states["velocity_command"]) > len(longest):
-            longest = states["velocity_command"]
-    asked = np.linalg.norm(longest[:, :2], axis=1)
-    curve(right, period * np.arange(len(asked)), asked, "0.5", "commanded", linestyle="--")
-    left.set(xlabel="x [m]", ylabel="y [m]")
-    left.set_title("path of the base from above, its end as a square")
-    left.set_aspect("equal", adjustable="datalim")
-    right.set(xlabel="time [s]", ylabel="speed [m/s]")
-    right.set_title(f"speed of the base in the plane, over {SMOOTH_S:g} s")
-    left.legend()
-    right.legend(loc="upper right")
-    return True
-
-
-def _joints(figure: Any, result: AnyMapping, tracks: Tracks) -> bool:
-    first = result["first"]
-    others = [name for name in tracks if name != first]
-    if first not in tracks or not others:
-        return False
-    reference = tracks[first]["joint_pos"]
-    squares = np.zeros(reference.shape)
-    for name in others:
-        count = min(len(reference), len(tracks[name]["joint_pos"]))
-        squares[:count] += (reference[:count] - tracks[name]["joint_pos"][:count]) ** 2
-    order = np.argsort(-squares.sum(axis=0))[:TOP]
-    curves = [
-        (name, f"C{place % 10}", states["joint_pos"][:, order])
-        for place, (name, states) in enumerate(tracks.items())
+def _curves(result: AnyMapping, tracks: Mapping[str, Array], first: float = 0.0) -> list[Curve]:
+    """Return a curve for each platform; the seventh on are dashed."""
+    return [
+        Curve(
+            name,
+            COLOURS[k % 6],
+            result["period_s"] * (first + np.arange(len(v))),
+            v,
+            k // 6 * (6, 3),
+        )
+        for k, (name, v) in enumerate(tracks.items())
     ]
-    names = tracks[first]["joint_names"][order].tolist()
-    zoomed(figure, names, curves, squares[:, order], result["period_s"])
-    return True
+
+
+def _speeds(result: AnyMapping, tracks: Tracks) -> Iterator[Panel]:
+    width, speeds = max(1, round(SMOOTH_S / (result["period_s"] or 1.0))), dict[str, Array]()
+    for name, states in tracks.items():
+        moved = (states["base_pos_w"][width:] - states["base_pos_w"][:-width])[:, :2]
+        speeds[name] = np.linalg.norm(moved, axis=1) / (width * result["period_s"])
+    asked = max((each["velocity_command"] for each in tracks.values()), key=len, default=None)
+    if asked is not None:
+        way = np.linalg.norm(asked[:, :2], axis=1)
+        time = result["period_s"] * np.arange(len(way))
+        commanded = Curve("commanded", INK, time, way, (2, 3))
+        curves = [*_curves(result, speeds, width / 2), commanded]
+        yield Panel(f"speed of the base in the plane, over {SMOOTH_S:g} s", "m/s", curves)
+
+
+def most_apart(result: AnyMapping, tracks: Tracks) -> tuple[list[int], Array]:
+    """Return the joints from the one that differs most on, and the squares of the differences.
+
+    Returns:
+        Columns of the joints of the first platform, none where there is nothing to compare; squares
+        in [rad²], summed over the other platforms, shape (ticks, joints).
+    """
+    first = tracks.get(result["first"])
+    if first is None or len(tracks) < 2:
+        return [], np.zeros((0, 0))
+    squares = np.zeros(first["joint_pos"].shape)
+    for states in tracks.values():
+        count = min(len(squares), len(states["joint_pos"]))
+        squares[:count] += (first["joint_pos"][:count] - states["joint_pos"][:count]) ** 2
+    return np.argsort(-squares.sum(axis=0)).tolist(), squares
+
+
+def _joints(result: AnyMapping, tracks: Tracks) -> Iterator[Panel]:
+    order, squares = most_apart(result, tracks)
+    for k in order[:TOP]:
+        name = str(tracks[result["first"]]["joint_names"][k])
+        curves = _curves(result, {n: states["joint_pos"][:, k] for n, states in tracks.items()})
+        yield Panel(name, "rad", curves, [worst(squares[:, k], result["period_s"])])
 
 
 PICTURES: Pictures = {
-    "figures": (
-        _figures,
-        "Figures",
-        "Mean of each platform; the whisker is the standard deviation over seeds, where there are "
-        "several.",
-    ),
-    "paths": (_paths, "The base", "First run of each platform. Dashed: the commanded speed."),
+    "speeds": (Lines(_speeds), "Speed", "First run of each platform. Dotted: the commanded speed."),
     "joints": (
-        _joints,
+        Lines(_joints),
         "The joints that differ most",
-        "Joint positions of the first run of each platform, not shifted in time; on the right the "
-        "stretch that differs most (grey on the left).",
+        "Joint positions of the first run of each platform, not shifted in time; grey is where a "
+        "joint differs most.",
     ),
 }
 """Name to function, heading and caption, in the report's order."""
