@@ -55,6 +55,8 @@ EXTRAS = {
     "pages": ["matplotlib", "uplot-python==1.1.1"],
     # The live page; its client is part of the package, so that it works off-line.
     "view": ["viser==1.1.1"],
+    # `unicon video`.
+    "video": [*SIM, "viser==1.1.1", "av", "pillow", "matplotlib"],
     # A headset's page; the second makes its certificate, the third its pictures.
     "webxr": ["websockets>=14", "cryptography>=42", "pillow"],
     # setuptools 80 turns `colcon build --symlink-install` into a silent copy.

@@ -39,6 +39,8 @@ def offered(line: str) -> list[str]:
         ("unicon assets fetch g1_h", ["g1_holosoma_dancing", "g1_holosoma_ppo"]),
         ("unicon -q policies go2_v", ["go2_velocity"]),
         ("unicon run go2_walk --set platform=unitree_l", ["platform=unitree_legged"]),
+        ("unicon vid", ["video"]),
+        ("unicon video walk.mcap walk.mp4 --g", ["--ghost"]),
         ("unicon emulate nobo", []),
     ],
 )

@@ -8,6 +8,7 @@ right and y down (REP-103): half a turn about x.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +26,7 @@ from unicon_core.robots import Robot
 from unicon_core.terrain.words import Terrain
 
 NO_GL = (
-    "camera: no offscreen OpenGL ({reason}); on Debian and Ubuntu: apt install libegl1 "
+    "{what}: no offscreen OpenGL ({reason}); on Debian and Ubuntu: apt install libegl1 "
     "libgl1-mesa-dri, or libosmesa6 with MUJOCO_GL=osmesa"
 )
 ODOM = "odom"
@@ -84,10 +85,7 @@ class ModelCamera:
         fovy: float = 60.0,
         depth: bool = False,
     ) -> None:
-        try:
-            mujoco = import_mujoco()
-        except Exception as error:  # without a GL library already the import fails
-            raise _no_gl(error) from error
+        mujoco = drawing_mujoco("camera")
 
         def prepare(spec: Any) -> None:
             vis = spec.visual.global_
@@ -108,10 +106,7 @@ class ModelCamera:
         self._mujoco = mujoco
         model = self._posed.loaded.model
         self._camera = int(model.camera(name).id)
-        try:
-            self._renderer = mujoco.Renderer(model, size[1], size[0])
-        except Exception as error:  # GL libraries raise classes of their own
-            raise _no_gl(error) from error
+        self._renderer = offscreen(model, size, "camera")
         if depth:
             self._renderer.enable_depth_rendering()
         self.pinhole = intrinsics(model, self._camera, *size)
@@ -131,10 +126,37 @@ class ModelCamera:
         return picture
 
 
-def _no_gl(error: Exception) -> UniconError:
+def drawing_mujoco(what: str) -> Any:
+    """Return the mujoco module; as `offscreen`, since a wrong MUJOCO_GL fails at its import."""
+    try:
+        return import_mujoco()
+    except Exception as error:
+        raise _no_gl(error, what) from error
+
+
+def offscreen(model: Any, size: tuple[int, int], what: str) -> Any:
+    """Return a `mujoco.Renderer`; without a display by EGL, unless MUJOCO_GL names another.
+
+    Args:
+        model: an `MjModel`.
+        size: width and height of a picture, [pixels].
+        what: begins the message.
+
+    Raises:
+        UniconError: there is no offscreen OpenGL.
+    """
+    if not os.environ.get("MUJOCO_GL") and not os.environ.get("DISPLAY"):
+        os.environ["MUJOCO_GL"] = "egl"
+    try:
+        return import_mujoco().Renderer(model, size[1], size[0])
+    except Exception as error:  # GL libraries raise classes of their own
+        raise _no_gl(error, what) from error
+
+
+def _no_gl(error: Exception, what: str) -> UniconError:
     if isinstance(error, UniconError):
         return error
-    return UniconError(NO_GL.format(reason=one_line(error)))
+    return UniconError(NO_GL.format(what=what, reason=one_line(error)))
 
 
 def intrinsics(model: Any, camera: int, width: int, height: int) -> Intrinsics:

@@ -1,16 +1,32 @@
-"""`unicon view BAG`: a recording in the live page, with a time slider; or in Foxglove."""
+"""`unicon view BAG`: a recording in the live page, with a time slider; or in Foxglove.
+
+`unicon video RECORD FILE` makes a video of it.
+"""
 
 from __future__ import annotations
 
 import argparse
+import re
 import time
 from pathlib import Path
 
-from unicon_core.signals import SIGNALS
+from unicon_base import UniconError, alternatives
+from unicon_core.page import refuse_unwritable
+from unicon_core.signals import SIGNALS, Interrupted
 from unicon_lab.run_options import VIEW_OPTIONS, view_options
 from unicon_lab.view import SINKS
 from unicon_ros.cli.console import note
-from unicon_ros.cli.options import argument, command, option, positive
+from unicon_ros.cli.options import (
+    REPEATED,
+    argument,
+    command,
+    flag,
+    option,
+    positive,
+    seconds,
+    together,
+    whole,
+)
 
 INTERVAL = 1.0 / 60.0
 """How often a sink looks, in [s]."""
@@ -49,7 +65,52 @@ def _view(arguments: argparse.Namespace) -> int:
     return 0
 
 
-add = command(
+FPS = whole("a number of frames a second", 1, 120)
+
+
+def _size(text: str) -> tuple[int, int]:
+    """Return width and height, [pixels]; video codecs take even numbers alone."""
+    found = re.fullmatch(r"(\d{2,4})x(\d{2,4})", text)
+    size = (int(found[1]), int(found[2])) if found else (0, 0)
+    if not all(64 <= side <= 4096 and side % 2 == 0 for side in size):
+        raise argparse.ArgumentTypeError(f"{text} is no size; give even numbers like 640x480")
+    return size
+
+
+def _video(arguments: argparse.Namespace) -> int:
+    """Write a video; exit status 0."""
+    from unicon_lab.recording import open_record
+    from unicon_lab.view.video import CODECS, MOST, Film, write_video
+
+    path, begin = arguments.out, arguments.begin
+    if (ending := path.suffix.lower()) not in CODECS:
+        raise UniconError(f"cannot write {path}: unknown ending; {alternatives(ending, CODECS)}")
+    refuse_unwritable(path)
+    film = Film(open_record(arguments.record), arguments.size, arguments.ghost, arguments.plot)
+    end = min(film.end if arguments.end is None else arguments.end, film.end)
+    if not begin < end:
+        raise UniconError(
+            f"--from {begin:g} is not before {end:.3g}, where the video ends; the record has "
+            f"{film.end:.3g} s"
+        )
+    step = arguments.speed / arguments.fps
+    if (end - begin) / step > MOST:
+        raise UniconError(
+            f"more than {MOST} frames; give --from and --to, a lower --fps or a higher --speed"
+        )
+    for line in film.notes:
+        note(f"unicon video: {line}")
+    try:
+        with SIGNALS.guard():
+            count = write_video(path, film.frames(begin, end, step), arguments.fps)
+    except Interrupted:
+        note(f"unicon video: stopped: {path} was not written")
+        raise
+    print(f"{path}: {count} frames, {count / arguments.fps:.2f} s")
+    return 0
+
+
+add_view = command(
     "view",
     _view,
     "look at a recording",
@@ -67,3 +128,27 @@ add = command(
     ),
     *VIEW_OPTIONS,
 )
+add_video = command(
+    "video",
+    _video,
+    "make a video of a recording",
+    "Draw a recording offscreen: the robot on its ground, plots and the time.",
+    argument("record", "RECORD", "a recording, or a fault record", type=Path),
+    argument("out", "FILE", ".mp4, .webm, .webp or .gif", type=Path),
+    flag("--ghost", "show the targets of the joints as a transparent robot"),
+    argument(
+        "--plot",
+        "STATE[:ELEMENT]",
+        "plot a state below, or one element with its target, such as joint_pos:FL_hip_joint "
+        "(repeatable)",
+        **REPEATED,
+    ),
+    argument(
+        "--from", "S", "begin S s after the first tick", type=seconds, dest="begin", default=0.0
+    ),
+    argument("--to", "S", "end S s after the first tick", type=seconds, dest="end"),
+    argument("--speed", "X", "show it X times faster (default: 1)", type=positive, default=1.0),
+    argument("--size", "WxH", "in pixels (default: 640x480)", type=_size, default=(640, 480)),
+    argument("--fps", "N", "frames a second (default: 25)", type=FPS, default=25),
+)
+add = together(add_view, add_video)

@@ -9,6 +9,7 @@ import threading
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from fractions import Fraction
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -202,23 +203,36 @@ class Video:
         fps: frames a second.
         height: in pixels.
         width: in pixels.
+        codec: FFmpeg's name of the encoder.
+        options: of the encoder.
 
     Attributes:
         frames: that are in it.
 
     Raises:
         OSError: it cannot be written.
+        ValueError: this PyAV lacks the encoder.
     """
 
-    def __init__(self, path: Path, fps: int, height: int, width: int) -> None:
+    def __init__(
+        self,
+        path: Path,
+        fps: float,
+        height: int,
+        width: int,
+        codec: str = CODEC,
+        options: Mapping[str, str] = OPTIONS,
+    ) -> None:
         import av
 
         os.environ.setdefault("SVT_LOG", "0")  # else the encoder tells its settings
         self._av: Any = av
         self.path, self.frames = path, 0
         with _told(av):
-            self._container = av.open(str(path), "w")
-        self._stream: Any = self._container.add_stream(CODEC, fps, options=OPTIONS)
+            endless = {"loop": "0"} if codec == "libwebp_anim" else {}
+            self._container = av.open(str(path), "w", options=endless)
+        rate = Fraction(fps).limit_denominator(1000)
+        self._stream: Any = self._container.add_stream(codec, rate, options=dict(options))
         self._stream.pix_fmt = PIXELS
         self._stream.height, self._stream.width = height, width
 

@@ -101,6 +101,7 @@ class RecordedSource:
 
     Attributes:
         span: first and last moment in [s].
+        times: of each tick in [s].
         speed: how fast `play_on` plays.
         texts: `faults` of a fault record; notes.
 
@@ -113,8 +114,8 @@ class RecordedSource:
             raise UniconError(
                 f"{record.paths[0]} has no ticks: its run ended before the first one; give another"
             )
-        self._times = _times(record)
-        self.span = (0.0, float(self._times[-1]))
+        self.times = _times(record)
+        self.span = (0.0, float(self.times[-1]))
         self.speed = 1.0
         self._latest, self._each = _Row(record, shown.phases), _Row(record, shown.phases)
         self._most = max(1, min(MOST, round(BEHIND_S / record.period)))
@@ -132,7 +133,7 @@ class RecordedSource:
         if not np.isfinite(moment):
             return
         self._time = min(max(moment, self.span[0]), self.span[1])
-        found = int(np.searchsorted(self._times, self._time + 1e-9, side="right"))
+        found = int(np.searchsorted(self.times, self._time + 1e-9, side="right"))
         self._row = max(found - 1, 0)
 
     def play_on(self) -> bool:

@@ -20,7 +20,6 @@ Beside pictures and depths goes `camera_info`, and /tf_static tells the optical 
 
 from __future__ import annotations
 
-import os
 import select
 import time
 from collections.abc import Sequence
@@ -240,8 +239,6 @@ class _Camera:
     """Draws one camera into a ring of messages."""
 
     def __init__(self, feed: Feed) -> None:
-        if not os.environ.get("MUJOCO_GL") and not os.environ.get("DISPLAY"):
-            os.environ["MUJOCO_GL"] = "egl"
         options = feed.options
         self._feed, self._kind, self._far = feed, options["kind"], float(options["far"])
         size = int(options["width"]), int(options["height"])
