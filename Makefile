@@ -6,6 +6,7 @@
 #   make venv       only the set-up                  make docs       write the API reference to out/docs
 #   make test-fast  a minute of them, at each save   make test-changed  those that a change touches
 #   make clean      remove what was built            make faults     measure each fault, write out/faults.md
+#   make pictures   make the pictures of the documents
 
 PYTHON ?= python3
 VENV := .venv
@@ -37,11 +38,11 @@ demo bench faults: export ROS_DOMAIN_ID ?= 42
 bench faults: export FASTRTPS_DEFAULT_PROFILES_FILE ?= $(CURDIR)/config/dds/fast_discovery.xml
 bench faults: export FASTDDS_DEFAULT_PROFILES_FILE ?= $(FASTRTPS_DEFAULT_PROFILES_FILE)
 
-.PHONY: help venv demo test test-fast test-changed test-slow check format docs bench faults clean clean-venv
+.PHONY: help venv demo test test-fast test-changed test-slow check format docs pictures bench faults clean clean-venv
 .DEFAULT_GOAL := help
 
 help:
-	@sed -n '3,8s/^# *//p' Makefile
+	@sed -n '3,9s/^# *//p' Makefile
 
 venv: $(STAMP)
 
@@ -106,6 +107,13 @@ docs: $(STAMP)
 	$(BIN)/pdoc -d google -o out/docs unicon_base unicon_core unicon_msgs_map unicon_ros unicon_sims unicon_hardware \
 		unicon_manipulation unicon_lab "!unicon_ros.bench"
 	@echo "out/docs/index.html"
+
+# Half an hour; with Chromium, playwright and the public models (UNICON_ASSETS).
+pictures: $(STAMP)
+	$(BIN)/python tools/lib/gallery.py
+	$(BIN)/python tools/lib/pictures_of_reports.py
+	$(BIN)/python tools/lib/picture_of_page.py
+	$(BIN)/python tools/lib/picture_of_teleoperation.py
 
 bench: $(STAMP)
 	@mkdir -p out/bench

@@ -38,7 +38,9 @@ _NAMED = 6  # lines of a plot at most that a legend names
 _EASE = 0.25  # [s] in which the camera follows the base
 _SUN = np.array((2.0, -3.0, 6.0))  # [m] from what the camera looks at
 _GHOST = (0.27, 0.51, 0.9, 0.35)
+_SAME = 2e-3  # [m], and of a quaternion: a target that near hides nothing
 _SKY, _HORIZON = (0.62, 0.72, 0.84), (0.95, 0.96, 0.98)
+_GROUND = (0.70, 0.73, 0.70, 1.0)
 _TILES = (0.80, 0.82, 0.85), (0.72, 0.74, 0.78)
 
 
@@ -116,7 +118,9 @@ class Film:
             camera.lookat = offset + look - (0.0, 0.0, height)
             poses = [np.hstack([pose.position, pose.quat])]
             if self._ghost:
-                poses.append(np.hstack(stage.ghost(tick.states)))
+                target = np.hstack(stage.ghost(tick.states))
+                target[np.abs(target - poses[0]).max(axis=1) < _SAME, 2] -= 1e3  # out of sight
+                poses.append(target)
             picture = self._draw(np.vstack(poses), camera)
             pixels = picture if below is None else np.vstack([picture, below[0]])
             if below is not None:
@@ -156,9 +160,8 @@ class Film:
                 for values, colour in zip(lines, (MARK, PALE) if len(lines) > 1 else (None,)):
                     curve(axes, self._source.times[seen], values[seen], colour)
                 if 1 < len(names) <= _NAMED:
-                    place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "frameon": False}
-                    axes.legend(names, ncols=len(names), fontsize=7, borderpad=0.0, **place)
-                axes.set_title(f"{label} [{unit}]" if unit else label, fontsize=8, loc="left")
+                    axes.legend(names, loc="upper right", ncols=len(names), fontsize=6)
+                axes.set_title(f"{label} [{unit}]" if unit else label, fontsize=7, loc="left")
                 axes.tick_params(labelsize=7)
             every[0].set_xlim(begin, max(end, begin + 1e-6))
             figure.draw_without_rendering()
@@ -223,7 +226,8 @@ def _model(stage: Any, size: tuple[int, int], ghost: bool, floor: float) -> Any:
             mesh.uservert, mesh.userface = shape.vertices.ravel(), shape.faces.ravel()
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
             geom = bodies[shape.body].add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name)
-            geom.rgba, geom.contype, geom.conaffinity = _GHOST if copy else shape.rgba, 0, 0
+            geom.contype = geom.conaffinity = 0  # else MuJoCo makes hulls
+            geom.rgba = _GHOST if copy else shape.rgba if shape.body else _GROUND
     return spec.compile()
 
 
