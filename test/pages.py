@@ -134,6 +134,7 @@ def read_page(text: str) -> Page:
     assert set(page._wanted) <= set(page._ids), set(page._wanted) - set(page._ids)
     assert "@import" not in text
     text = text.replace("(https://github.com/leeoniya/uPlot)", "")  # of its licence
+    text = re.sub(r"^\s*(//|\*).*$", "", text, flags=re.MULTILINE)  # comments of a script
     assert not re.search(r"https?:(?!//www\.w3\.org/)|url\((?!#|[\"']?data:)", text)
     return page
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from unicon_base import UniconError, alternatives, cannot, imported
 from unicon_base.arrays import Float64, UInt8
-from unicon_core.drawing import MARK, PALE, as_png, curve, drawn
+from unicon_core.drawing import MARK, PALE, as_png, drawn
 from unicon_core.models.camera import drawing_mujoco, offscreen
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.page import ROOM
@@ -118,7 +118,7 @@ class Film:
             camera.lookat = offset + look - (0.0, 0.0, height)
             poses = [np.hstack([pose.position, pose.quat])]
             if self._ghost:
-                target = np.hstack(stage.ghost(tick.states))
+                target = np.hstack(stage.ghost(tick.states, pose))
                 target[np.abs(target - poses[0]).max(axis=1) < _SAME, 2] -= 1e3  # out of sight
                 poses.append(target)
             picture = self._draw(np.vstack(poses), camera)
@@ -158,7 +158,7 @@ class Film:
             seen = (self._source.times >= begin - 1.0) & (self._source.times <= end + 1.0)
             for axes, (label, unit, names, *lines) in zip(every, self._curves):
                 for values, colour in zip(lines, (MARK, PALE) if len(lines) > 1 else (None,)):
-                    curve(axes, self._source.times[seen], values[seen], colour)
+                    axes.plot(self._source.times[seen], values[seen], color=colour)
                 if 1 < len(names) <= _NAMED:
                     axes.legend(names, loc="upper right", ncols=len(names), fontsize=6)
                 axes.set_title(f"{label} [{unit}]" if unit else label, fontsize=7, loc="left")
@@ -233,7 +233,7 @@ def _model(stage: Any, size: tuple[int, int], ghost: bool, floor: float) -> Any:
 
 def _camera(stage: Any, size: tuple[int, int]) -> Any:
     """Return a camera that stands as that of the live page, of a robot over the origin."""
-    from unicon_lab.view.page.viewer import aim
+    from unicon_lab.view.page.scene import aim
 
     mujoco = import_mujoco()
     page: Any = SimpleNamespace(image_width=size[0] * 100, image_height=size[1] * 100)
