@@ -243,7 +243,7 @@ def test_what_the_medium_has_not_is_not_kept(
         session.go("k", "NOT kept: 1 of its messages were lost")
         session.go("s", "started")
         with monkeypatch.context() as patch:
-            patch.setattr("unicon_lab.recording.run_recording.write_json", no_room)
+            patch.setattr("unicon_lab.recording.collection.write_json", no_room)
             session.go("k", "NOT kept: cannot write episodes.json: No space left")
         session.go("s", "started")
         recorder._stop(OSError(28, "No space left on device"), 0)  # as a full disk does

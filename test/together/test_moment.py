@@ -11,8 +11,9 @@ from unicon_base.errors import Fault, UniconError, WorkflowError
 from unicon_base.located_yaml import Located
 from unicon_core.synchronised_start import rendezvous as module
 from unicon_core.synchronised_start.rendezvous import WallClock, moment_of
-from unicon_core.workflow.document import StartSettings, WorkflowDocument
-from unicon_core.workflow.document import start_of as start_of_document
+from unicon_core.workflow.document import WorkflowDocument
+from unicon_core.workflow.settings import StartSettings
+from unicon_core.workflow.settings import start_of as start_of_document
 
 S = 1_000_000_000
 NOON = int(datetime(2026, 11, 22, 12, tzinfo=timezone.utc).timestamp()) * S

@@ -31,7 +31,7 @@ from unicon_core.states.layout import check_name
 from unicon_core.states.standard import COMMAND_STATES, control_states, hardware_states
 from unicon_core.states.states import spans
 from unicon_core.workflow.autowire import BuildContext, autowire, option_names, read_options
-from unicon_core.workflow.document import WorkflowDocument, safety_of
+from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.flow_yaml import FlowReader
 from unicon_core.workflow.live_twin import twin_states
 from unicon_core.workflow.members import member_context, member_robot, of_whole, share_of, stamps_of
@@ -39,6 +39,7 @@ from unicon_core.workflow.platforms import facts_of_all, find_platforms
 from unicon_core.workflow.policies import declared_states, policy_factory
 from unicon_core.workflow.program_data import ProgramData
 from unicon_core.workflow.registry import Factory, find_factory
+from unicon_core.workflow.settings import safety_of
 from unicon_core.workflow.uses import EXPRESSION, Use, expression
 
 Sections = dict[Stage, list[Node]]

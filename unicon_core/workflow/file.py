@@ -241,7 +241,7 @@ class Workflow:
     ) = None
     estimate: Blocks | None = None
     commands: Blocks | None = None
-    start: Annotated[Any, Later("unicon_core.workflow.document:Start")] | None = None
+    start: Annotated[Any, Later("unicon_core.workflow.settings:Start")] | None = None
     wind_down: FlowType | None = None
     safety: Annotated[
         Literal["none"] | Annotated[list[FlowType], NotEmpty] | SafetyOnly | None, Write(_SAFETY)

@@ -41,14 +41,7 @@ from unicon_core.workflow.division import (
     publishers,
     refuse_parts,
 )
-from unicon_core.workflow.document import (
-    WorkflowDocument,
-    document_of,
-    load_document,
-    pacing_of,
-    safety_of,
-    start_of,
-)
+from unicon_core.workflow.document import WorkflowDocument, document_of, load_document
 from unicon_core.workflow.live_twin import build_twin, twin_of
 from unicon_core.workflow.members import load_robot_of
 from unicon_core.workflow.parts import read_parts, read_store
@@ -61,6 +54,7 @@ from unicon_core.workflow.policies import (
     with_weldable,
 )
 from unicon_core.workflow.program_data import Gate, ProgramData, withheld
+from unicon_core.workflow.settings import pacing_of, safety_of, start_of
 from unicon_core.workflow.tick_tree import bound_commands, completed, left_out, tick_tree, with_flow
 from unicon_core.workflow.uses import EXPRESSION, Use
 

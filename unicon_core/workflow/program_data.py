@@ -35,8 +35,9 @@ from unicon_core.states import States
 from unicon_core.states.links import Store
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow.autowire import BuildContext
-from unicon_core.workflow.document import StartSettings, WorkflowDocument
+from unicon_core.workflow.document import WorkflowDocument
 from unicon_core.workflow.parts import Parts
+from unicon_core.workflow.settings import StartSettings
 
 COMMAND = "velocity_command"
 

@@ -20,9 +20,9 @@ from unicon_core.robots.load import JOINT_PHYSICS
 from unicon_core.states import States
 from unicon_core.states.standard import HARDWARE_STATES
 from unicon_core.workflow import WorkflowDocument
-from unicon_core.workflow.document import MOMENTS
 from unicon_core.workflow.hardware import declared_facts
 from unicon_core.workflow.registry import find_factory
+from unicon_core.workflow.settings import MOMENTS
 from unicon_lab.recording import Record
 from unicon_lab.replay.series import Series, opened
 
