@@ -102,6 +102,15 @@ def test_it_finds_a_weak_motor_and_no_other(tmp_path: Path) -> None:
     assert found.probability["strength", CALF] > 0.99
 
 
+def test_with_equal_gains_damping_is_not_told_from_viscous_friction(tmp_path: Path) -> None:
+    it = motion(tmp_path, {}, seconds=3.0)
+    assert np.ptp(it.commands["joint_damping"]) == 0.0
+    it.commands["joint_damping"] *= 0.5
+    places: list[Place] = [("damping", -1), ("viscous friction", -1), ("armature", -1)]
+    ((place, alike),) = searched(it, places).causes
+    assert {place, *alike} == set(places[:2])
+
+
 def test_a_right_simulator_is_accused_of_nothing(tmp_path: Path) -> None:
     places = [("strength", CALF), ("delay", -1), ("payload", -1), ("friction", -1)]
     assert searched(motion(tmp_path, {}, seconds=3.0), places).causes == []
