@@ -58,7 +58,8 @@ def run_document(arguments: argparse.Namespace, document: WorkflowDocument) -> i
         finally:
             console.close()
         status = _tell(arguments, ended)
-        sys.stdout.flush()  # a page may stay for hours, and `Run again` replaces this process
+        with suppress(OSError):  # reported at the end; a page may stay for hours, and run again
+            sys.stdout.flush()
         with SIGNALS.guard():
             while not SIGNALS.asked and any(each.watched() for each in ended.attachments):
                 time.sleep(0.1)
