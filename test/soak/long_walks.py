@@ -189,7 +189,8 @@ def missing() -> set[str]:
     """Return safety blocks that a soak does not have, for whoever adds one."""
     there = {each if isinstance(each, str) else next(iter(each)) for each in STRICT}
     known = {name for name, place in BUILTIN.items() if ".safety." in place}
-    return known - there - {"tracking_stop", "observation_range"}
+    predicates = {"commanded", "elapsed", "settled", "tilted"}  # beside the stops, which use them
+    return known - there - predicates - {"tracking_stop", "observation_range"}
 
 
 if __name__ == "__main__":
