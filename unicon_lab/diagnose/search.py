@@ -32,6 +32,8 @@ ALIKE = 3.0
 """Log odds within which a record does not tell two causes apart: 20 to 1."""
 SAME = 0.99
 """Cosine between derivatives from which two changes count as alike: their steps are finite."""
+DAMPING = ("damping", -1), ("viscous friction", -1)
+"""Changes that are the same where all joints have the same gain: a motor brakes as a bearing."""
 MOST = 4
 """Causes of one record."""
 HOPE = 3.0
@@ -263,8 +265,7 @@ class Search:
     def _like(self, best: Candidate) -> list[Place]:
         """Return what would explain a motion as well as the best, followed or not.
 
-        The information on one change that is left beside another is what tells them apart: with
-        the same gains in all joints, damping is viscous friction, however well each was followed.
+        The information on one change that is left beside another is what tells them apart.
         """
         assert best.fitted is not None
         places = [best.place, *(place for place in self._places if place not in best.change)]
@@ -276,6 +277,8 @@ class Search:
         apart = known[0, 0] * (1.0 - parallel)
         odds = 0.5 * best.change[best.place] ** 2 * apart / max(best.fitted.kappa, 1.0)
         alike = (odds < ALIKE) | (parallel > SAME**2)
+        if places[0] in DAMPING and np.ptp(self.motion.commands["joint_damping"]) == 0.0:
+            alike |= [place in DAMPING for place in places]
         return [place for place, each in zip(places[1:], alike[1:]) if each]
 
     def _shown(self, without: Float64, with_it: Float64) -> tuple[int, int, Float64]:
