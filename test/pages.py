@@ -133,8 +133,9 @@ def read_page(text: str) -> Page:
     assert len(set(page._ids)) == len(page._ids), "an id stands twice"
     assert set(page._wanted) <= set(page._ids), set(page._wanted) - set(page._ids)
     assert "@import" not in text
-    text = text.replace("(https://github.com/leeoniya/uPlot)", "")  # of its licence
-    text = re.sub(r"^\s*(//|\*).*$", "", text, flags=re.MULTILINE)  # comments of a script
+    for script in page.scripts:  # comments name sources
+        code = re.sub(r"^\s*(//|\*).*$", "", script, flags=re.MULTILINE)
+        text = text.replace(script, code)
     assert not re.search(r"https?:(?!//www\.w3\.org/)|url\((?!#|[\"']?data:)", text)
     return page
 

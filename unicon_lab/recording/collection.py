@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import select
 import shutil
 import threading
 import time
@@ -14,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from unicon_base import AnyDict, UniconError, cannot, one_line
-from unicon_core.blocks.controls.device import Keyboard, take_terminal
+from unicon_core.blocks.controls.device import Keyboard, read_keys, take_terminal
 from unicon_core.page import ROOM, write_json
 from unicon_core.runtime import Report, Runner
 from unicon_core.runtime.phases import Phase
@@ -181,12 +180,10 @@ class Collection(Recording):
         """Return the keys and buttons that were pressed since the last look."""
         held = {key for key, stick in self._sticks.items() if stick[0] > PRESSED}
         keys, self._held = "".join(sorted(held - self._held)), held
-        if self._keys and select.select([0], [], [], 0.0)[0]:
-            read = b""
-            with suppress(OSError):
-                read = os.read(0, 64)
-            self._keys = bool(read)
-            keys += read.decode("ascii", "replace").lower()
+        if self._keys:
+            read = read_keys()
+            self._keys = read is not None
+            keys += (read or b"").decode("ascii", "replace").lower()
         if not self._keys and not self._sticks:
             self._note("neither keys nor a headset: the run ends; start it in a terminal")
             self._runner.stop()

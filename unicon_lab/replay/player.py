@@ -6,8 +6,6 @@ bridge, services and frames are those of any run.
 
 from __future__ import annotations
 
-import os
-import select
 import threading
 import time
 from collections.abc import Callable
@@ -17,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from unicon_base import AnyDict, TextSink, UniconError
-from unicon_core.blocks.controls.device import take_terminal
+from unicon_core.blocks.controls.device import read_keys, take_terminal
 from unicon_core.flow import Block
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.states.standard import HARDWARE_STATES, standard_states
@@ -62,11 +60,10 @@ class Keys:
 
     def _read(self) -> None:
         while not self._over.is_set():
-            if select.select([0], [], [], LOOK)[0]:
-                pressed = os.read(0, 64)
-                if not pressed:  # the terminal has gone
-                    return
-                self.press(pressed)
+            pressed = read_keys(LOOK)
+            if pressed is None:  # the terminal has gone
+                return
+            self.press(pressed)
 
     def press(self, pressed: bytes) -> None:
         """Do what keys say."""

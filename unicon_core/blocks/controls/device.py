@@ -221,6 +221,14 @@ def take_terminal() -> Callable[[], object]:
     return give_back
 
 
+def read_keys(patience: float = 0.0) -> bytes | None:
+    """Return what was pressed within a time in [s], b"" for nothing; None: the input has gone."""
+    try:
+        return os.read(0, 64) or None if select.select([0], [], [], patience)[0] else b""
+    except OSError:
+        return None
+
+
 class Keyboard:
     """The tick of `keyboard`."""
 
@@ -239,16 +247,12 @@ class Keyboard:
         if not self._open or not self._context.driving() or not self._entered():
             return
         self._decay()
-        if not select.select([0], [], [], 0.0)[0]:
-            return
-        try:
-            pressed = os.read(0, 64).decode("ascii", "replace").lower()
-        except OSError:
-            pressed = ""
-        if not pressed:
+        read = read_keys()
+        if read is None:
             self.close()
             self._context.tell("keyboard: the terminal has gone; nothing is pressed any more")
             return
+        pressed = read.decode("ascii", "replace").lower()
         if ESCAPE in pressed:  # arrows and the like
             pressed = ""
         for key in pressed:
