@@ -49,12 +49,13 @@ class Attachment:
         address: where it is seen, once it is attached; "" where nowhere.
         label: says in the operator's line what is there.
         drives: an operator can start and stop the run there.
+        returns: a page may set the run back.
         stays: it is closed once `watched` is False, others when the run has ended.
         again: arguments of `unicon`, which replaces this process with them once `watched` is
             False; () for no.
     """
 
-    address, label, drives, stays = "", "", False, False
+    address, label, drives, returns, stays = "", "", False, True, False
     again: tuple[str, ...] = ()
 
     def hook(self, program: Program) -> HookBlocks:

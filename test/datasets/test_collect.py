@@ -257,6 +257,46 @@ def test_what_the_medium_has_not_is_not_kept(
     assert len(set(table(tmp_path).to_pydict()["episode_index"])) == 1
 
 
+def test_an_episode_with_a_silent_camera_or_a_reset_is_not_kept(tmp_path: Path) -> None:
+    """The data set would have pictures of another time, or a leap; without any there is none."""
+
+    def script(session: Session) -> None:
+        (camera,) = (b.tick for b in session.program.blocks if getattr(b.tick, "sources", ()))
+        session.go("s", "started")
+        camera._first = 1 << 60  # as one whose process is killed, or stopped
+        session.go("", "discard it: front gives no picture; 0 of 2")
+        camera._first = 0  # it comes back
+        session.go("k", "NOT kept: front gives no picture; 0 of 2")
+        session.go("s", "started")
+        session.go("k", "kept, ")
+        session.go("s", "started")
+        session.runner.call_soon(session.runner.reset)
+        session.go("", "discard it: the run was reset")
+        session.go("k", "NOT kept: the run was reset; 1 of 2")
+        session.go("s", "started")
+        session.go("k", "2 of 2 episodes are kept")
+
+    Session(tmp_path, 2, script)
+    assert set(table(tmp_path).to_pydict()["episode_index"]) == {0, 1}
+
+
+def test_what_is_collected_does_not_go_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given: dict[str, Any] = {}
+
+    def options(**values: Any) -> RunOptions:
+        given.update(values)
+        raise UniconError("that is all")
+
+    monkeypatch.setattr("unicon_core.runtime.RunOptions", options)
+    workflow = str(written(tmp_path, flow="hold"))
+    for more, returns in (["--collect", str(tmp_path / "demos")], False), ([], True):
+        assert main(["run", workflow, "--no-ros", *more]) == 1
+        assert "that is all" in capsys.readouterr().err
+        assert given["returns"] is returns
+
+
 def test_folders_that_are_no_collection_are_left_alone(tmp_path: Path) -> None:
     (tmp_path / "demos").mkdir()
     with pytest.raises(UniconError, match=r"demos exists, and .*recordings does not"):

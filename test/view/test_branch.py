@@ -222,6 +222,7 @@ def test_a_pause_is_branched_at_once(tmp_path: Path) -> None:
         ("rate: 50", "rate: 50\nnum_robots: 2", {}, "leave out num_robots"),
         ("go2_velocity}", "{path: go2_velocity, child: {}}}", {}, "computes elsewhere"),
         ("", "", {"native": True}, "leave out --native"),
+        ("", "", {"returns": False}, "leave out --collect"),
     ],
 )
 def test_what_cannot_go_back_says_so(

@@ -169,6 +169,7 @@ class RunOptions:
         operator: wait for `Runner.go` before a robot moves, where the workflow does not say that
             nobody is asked. False: whoever runs it has decided.
         native: run blocks that have a C++ twin as native code, with the same commands.
+        returns: a simulation may be set back.
 
     Raises:
         UniconError: `speed` is not a word of these, or `duration` not a number of at least 0.
@@ -182,6 +183,7 @@ class RunOptions:
     status: Callable[[dict[str, Any]], None] | None = None
     operator: bool = False
     native: bool = False
+    returns: bool = True
 
     def __post_init__(self) -> None:
         if self.speed not in get_args(Speed):

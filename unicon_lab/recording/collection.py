@@ -14,6 +14,7 @@ from typing import Any
 
 from unicon_base import AnyDict, UniconError, cannot, one_line
 from unicon_core.blocks.controls.device import Keyboard, read_keys, take_terminal
+from unicon_core.flow import Stage
 from unicon_core.page import ROOM, write_json
 from unicon_core.runtime import Report, Runner
 from unicon_core.runtime.phases import Phase
@@ -31,6 +32,8 @@ QUALITY = 90
 """Of the JPEG of raw pictures."""
 PRESSED = 0.5
 """How far a thumbstick is pressed that counts, 0 to 1."""
+BLIND = 1.0
+"""A camera without a new picture for so long spoils an episode, in [s] of ticks."""
 
 
 class Collection(Recording):
@@ -38,6 +41,7 @@ class Collection(Recording):
 
     `DIR.recordings` has a recording of each session, and `episodes.json`, which counts an episode
     once its ticks and pictures are on the medium. The data set DIR is made of them at the end.
+    Episodes are marked by ticks, which may not repeat.
 
     Args:
         wanted: episodes that are kept in all; then the run ends.
@@ -48,6 +52,8 @@ class Collection(Recording):
     Raises:
         UniconError: the folder is none of a collection, or has as many episodes.
     """
+
+    returns = False
 
     def __init__(self, wanted: int, task: str, out: str, *options: Any) -> None:
         from unicon_lab.datasets.export import KEPT, kept_in
@@ -70,7 +76,7 @@ class Collection(Recording):
         names = (folder / f"session-{number:03d}.mcap" for number in count(1))
         super().__init__(next(name for name in names if not name.exists()), *options)
         self._begin: int | None = None
-        self._dropped, self._busy = 0, ""
+        self._dropped, self._busy, self._spoiled, self._anew = 0, "", "", False
         self._keys, self._held = True, set[str]()
         self._give_back: Callable[[], object] = bool
         self._tells: list[Callable[[str], object]] = [self._note]
@@ -88,7 +94,9 @@ class Collection(Recording):
             if shows := getattr(block.tick, "say", None):
                 self._tells.append(shows)
         self.jpeg = self.jpeg or QUALITY
-        return super().hook(program)
+        stages = super().hook(program)
+        stages[Stage.OBSERVE][0].reset = self._was_reset
+        return stages
 
     def attach(self, runner: Runner) -> None:
         """See `Attachment`."""
@@ -99,6 +107,8 @@ class Collection(Recording):
             for side, key in (("right", "r"), ("left", "d"))
             if name.endswith(f"_{side}_buttons") and "thumbstick" in spec.names
         }
+        names = (name for b in runner.program.blocks for name in getattr(b.tick, "sources", ()))
+        self._newest = {name: (0, 0, states[f"{name}_handle"]) for name in names}
         self._thread.start()
 
     def status(self) -> AnyDict:
@@ -113,7 +123,7 @@ class Collection(Recording):
         elif self._busy:
             return
         elif key in "sr" and self._begin is None:
-            self._begin = self._tick() + 1
+            self._begin, self._spoiled, self._anew = self._tick() + 1, "", False
             self._dropped = self.counts()["dropped"]
             self._say("started")
         elif key in "kdr" and self._begin is not None:
@@ -133,6 +143,8 @@ class Collection(Recording):
         try:
             if last < first:
                 return "discarded: it has no tick"
+            if self._spoiled:
+                return f"NOT kept: {self._spoiled}"
             if not self._recorder.flush():
                 return f"NOT kept: {self.counts()['error'] or 'the recording has ended'}"
             if lost := self.counts()["dropped"] - self._dropped:
@@ -154,6 +166,27 @@ class Collection(Recording):
     def _tick(self) -> int:
         return int(self._runner.program.states["tick"].flat[0])
 
+    def _was_reset(self) -> None:
+        self._anew = True
+
+    def _spoil(self, why: str) -> None:
+        """Note why the present episode cannot be kept, and say so at once."""
+        if self._begin is not None and not self._spoiled:
+            self._spoiled = why
+            self._say(f"discard it: {why}")
+
+    def _look(self) -> None:
+        """Spoil an episode in which a camera gives no picture, or the flow was reset."""
+        tick = self._tick()
+        if self._anew:
+            self._anew = False
+            self._spoil("the run was reset")
+        for name, (number, since, handle) in self._newest.items():
+            if (new := int(handle.flat[0])) not in (0, number):
+                self._newest[name] = new, tick, handle
+            elif (tick - since) * self._runner.program.period > BLIND:
+                self._spoil(f"{name} gives no picture")
+
     def _note(self, text: str) -> None:
         self.warn(f"note: collect: {text}")
 
@@ -173,6 +206,7 @@ class Collection(Recording):
                 with suppress(OSError):  # a pipe has keys as well
                     self._give_back = take_terminal()
                 self._note(KEYS)
+            self._look()
             for key in self._pressed():
                 self.press(key)
 

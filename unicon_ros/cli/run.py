@@ -128,6 +128,7 @@ def _run(
             status=None if shown is None else status,
             operator=not arguments.yes,
             native=arguments.native,
+            returns=all(each.returns for each in attachments),
         )
         with ExitStack() as closes:
             for each in attachments:
