@@ -303,6 +303,32 @@ def test_a_skill_or_a_swap_takes_over_where_it_branches(tmp_path: Path) -> None:
     assert any("no skill 'fly'" in line for line in run.lines)
 
 
+def test_a_swap_that_was_asked_for_is_left_behind_and_a_run_that_ends_is_not_branched(
+    tmp_path: Path,
+) -> None:
+    text = WALKS + "shadow: {walk: {path: go2_stairs, limit: 1.0}}\n"
+    ends: list[Any] = []
+
+    def acts(run: Branched, count: int) -> None:
+        if count == 5 * SECOND:
+            assert run.act("swap")[0]
+            assert run.branch(4 * SECOND)[0]
+        if count == 7 * SECOND:
+            assert run.act("swap")[0]
+            assert run.branch(4 * SECOND, "swap")[0]
+        if count == 8 * SECOND:
+            run.runner.stop()
+            ends.append(run.branch(4 * SECOND))
+
+    run = Branched(tmp_path, acts, 8 * SECOND, text)
+    share = [States(run.program.states.layout, buffer=None) for _ in range(2)]
+    for states, row in zip(share, (7 * SECOND - 1, 8 * SECOND - 1)):
+        states.buffer[:] = np.frombuffer(run.rows[row][1], np.uint8)
+    assert [float(states["shadow_walk_share"]) for states in share] == [0.0, 1.0], run.lines
+    assert not any("refused" in line for line in run.lines)
+    assert ends == [(False, "branch is refused: the run is about to end")]
+
+
 def test_moments_cost_a_tick_nothing_that_has_no_time(tmp_path: Path) -> None:
     """Where ticks leave too little slack nothing is kept, and a branch says that."""
     said: list[Any] = []

@@ -87,7 +87,7 @@ class ShadowedPolicy:
 
     memory = (
         "a", "b", "driving", "_step", "_good", "_late", "_lost", "_armed", "_frozen", "_idle",
-        "_last", "_largest", "_sum", "_count", "_events", "_why",
+        "_last", "_largest", "_sum", "_count", "_events", "_why", "_asked",
     )  # fmt: skip
 
     def __init__(

@@ -330,6 +330,8 @@ class Rewind:
             UniconError: the run cannot be set back, or no moment is kept up to there.
         """
         phase, first = self._runner.phase, "later"
+        if self._runner.stopping:
+            raise UniconError("the run is about to end")
         if self.why_not or phase is not Phase.RUN:
             raise UniconError(self.why_not or f"the run is in phase {phase.value}, not in its flow")
         for moment in reversed(self._kept):
