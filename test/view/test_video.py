@@ -63,28 +63,29 @@ def moved(found: list[Any]) -> float:
 def test_robot_ghost_plot_and_cursor_are_seen_and_a_second_video_is_the_same(
     record: Path, tmp_path: Path
 ) -> None:
-    span = (*SIZE, "--from", 4.5, "--to", 5.5)
+    span = ("--size", "320x256", "--fps", "10", "--from", 4.5, "--to", 5.5)
     done = video(record, tmp_path / "a.gif", *span)
     assert done.returncode == 0, done.stderr
     assert done.stdout == f"{tmp_path / 'a.gif'}: 11 frames, 1.10 s\n"
     plain = frames(tmp_path / "a.gif")
     assert len(plain) == 11
-    assert plain[0].shape == (128, 160, 3)
+    assert plain[0].shape == (256, 320, 3)
     assert moved(plain) > 0.02
     with_all = ("--ghost", "--plot", "joint_pos:FL_calf_joint")
-    assert video(record, tmp_path / "b.gif", *span, *with_all).returncode == 0
+    done = video(record, tmp_path / "b.gif", *span, *with_all)
+    assert (done.returncode, done.stderr) == (0, "")
     ghost = frames(tmp_path / "b.gif")
 
     def blue(pixels: Any) -> int:
         return int(((pixels[..., 2].astype(int) - pixels[..., 0]) > 60).sum())
 
-    assert blue(ghost[5][20:96]) > blue(plain[5][20:96]) + 50
+    assert blue(ghost[5][40:192]) > blue(plain[5][40:192]) + 200
     cursors = [
-        np.flatnonzero((f[100:, :, 0].astype(int) - f[100:, :, 1] > 90).all(0)) for f in ghost
+        np.flatnonzero((f[204:, :, 0].astype(int) - f[204:, :, 1] > 90).all(0)) for f in ghost
     ]
     middles = [float(found.mean()) for found in cursors]
     assert np.allclose(np.diff(middles), (middles[-1] - middles[0]) / 10, atol=1.5)
-    assert middles[-1] - middles[0] > 80
+    assert middles[-1] - middles[0] > 160
     assert video(record, tmp_path / "c.gif", *span, *with_all).returncode == 0
     assert (tmp_path / "b.gif").read_bytes() == (tmp_path / "c.gif").read_bytes()
 
@@ -111,6 +112,11 @@ def test_formats_are_read_by_others(record: Path, tmp_path: Path, ending: str) -
         (["a.gif", "--from", "2", "--to", "2"], r"--from 2 is not before 2, where the video"),
         (["a.gif", "--plot", "joint_po"], r"no state 'joint_po' .*did you mean 'joint_pos'"),
         (["a.gif", "--plot", "joint_pos:x"], r"joint_pos has no element 'x'; known: FL_calf"),
+        (
+            ["a.gif", "--plot", "joint_pos", "--size", "320x128"],
+            r"no room for the plots; give a lar",
+        ),
+        (["a.gif", *["--plot", "joint_pos"] * 8], r"640x480 has no room for the plots; give"),
         (["a.gif", "--speed", "1e-6"], r"more than 36000 frames; give --from and --to"),
     ],
 )
@@ -126,6 +132,15 @@ def test_what_is_wrong_is_one_line(
     (line,) = capsys.readouterr().err.splitlines()
     assert re.search(message, line), line
     assert not list(tmp_path.iterdir())
+
+
+def test_a_video_does_not_replace_its_record(
+    record: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (there := tmp_path / "walk.gif").write_bytes(record.read_bytes())
+    assert main(["video", str(there), str(tmp_path / "." / "walk.gif")]) == 1
+    assert "walk.gif is the record, which a video would replace" in capsys.readouterr().err
+    assert there.read_bytes() == record.read_bytes()
 
 
 @pytest.mark.parametrize("size", ["641x480", "0x0", "8x8", "64", "99999x64"])

@@ -86,7 +86,10 @@ def _video(arguments: argparse.Namespace) -> int:
     if (ending := path.suffix.lower()) not in CODECS:
         raise UniconError(f"cannot write {path}: unknown ending; {alternatives(ending, CODECS)}")
     refuse_unwritable(path)
-    film = Film(open_record(arguments.record), arguments.size, arguments.ghost, arguments.plot)
+    record = open_record(arguments.record)
+    if path.exists() and path.samefile(arguments.record):
+        raise UniconError(f"{path} is the record, which a video would replace; give another name")
+    film = Film(record, arguments.size, arguments.ghost, arguments.plot)
     end = min(film.end if arguments.end is None else arguments.end, film.end)
     if not begin < end:
         raise UniconError(

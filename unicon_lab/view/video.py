@@ -34,6 +34,7 @@ CODECS: dict[str, tuple[str, dict[str, str]]] = {
 MOST = 36_000
 """Frames of a video: 20 minutes at 30 a second."""
 _SHARE = 0.22  # of the height that a plot takes
+_ROOM = 40  # [pixels] that a plot needs
 _NAMED = 6  # lines of a plot at most that a legend names
 _EASE = 0.25  # [s] in which the camera follows the base
 _SUN = np.array((2.0, -3.0, 6.0))  # [m] from what the camera looks at
@@ -85,6 +86,9 @@ class Film:
         self._curves = [_curve(record, each) for each in plots]
         self._size, self._ghost = size, ghost
         rows = round(min(_SHARE * len(plots), 0.6) * size[1])
+        if plots and (rows < _ROOM * len(plots) + 12 or size[0] < 96):
+            given = f"--size {size[0]}x{size[1]}"
+            raise UniconError(f"{given} has no room for the plots; give a larger one")
         self._view = size[0], size[1] - rows
         self._stage = Stage(shown)
         floor = 0.0 if shown.terrain is None else ground_of(shown.terrain).floor - 1e-3
