@@ -149,6 +149,12 @@ def test_the_words_of_answers_leave_out_what_is_no_number() -> None:
     )
     states["projected_gravity"][10:] = [0.0, 1.0, 0.0]
     assert words(states, 0.02)[1] == "yes, at 0.20 s"
+    states["projected_gravity"][2:7] = math.nan  # what is lacking moves no time
+    assert words(states, 0.02)[1] == "yes, at 0.20 s"
+    states["projected_gravity"][10:] = math.inf
+    assert words(states, 0.02)[1] == (
+        "not known: no attitude in 75% of the time; else leaned by 0° at most"
+    )
     assert words({}, 0.02)[0] == "not known: no speed is recorded"
     assert "not known" in words({}, 0.02)[1]
 

@@ -164,6 +164,25 @@ def test_what_is_not_a_number_leaves_gaps_and_is_told(tmp_path: Path) -> None:
     assert page.table("joint")[4][1] != "–"  # of the ticks before it
 
 
+def test_a_run_without_a_number_claims_nothing(tmp_path: Path) -> None:
+    def lost(
+        joint_pos: Amends, joint_vel: Amends, joint_effort: Amends, base_pos_w: Amends
+    ) -> Tick:
+        def lose() -> None:
+            for state in (joint_pos, joint_vel, joint_effort, base_pos_w):
+                state[:] = np.nan
+
+        return lose
+
+    page, report, text = ran(tmp_path / "run.html", block(lost), 12)
+    assert answered(text)["Which joint"] == "not known: no joint has a number"
+    assert "place not known, tilted up to 0°" in page.text
+    assert "nan" not in report.summary()
+    report.write(tmp_path / "run.json")
+    strict: Any = json.loads((tmp_path / "run.json").read_text(), parse_constant=pytest.fail)
+    assert strict["base_displacement_m"] == [None] * 3
+
+
 def test_joints_beyond_limits_are_named_with_amount_time_and_meaning(tmp_path: Path) -> None:
     robot, count = load_robot("go2"), [0]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import errno
-import json
+import math
 import os
 import resource
 import traceback
@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from unicon_base import AnyDict, Fault
-from unicon_core.page import write_file
+from unicon_core.page import plain, write_json
 from unicon_core.runtime.statistics import TickStatistics, percentiles
 from unicon_core.workflow.policies import shadowed_in
 from unicon_core.workflow.program_data import ProgramData
@@ -132,7 +132,7 @@ class Report:
 
     def write(self, path: str | Path) -> None:
         """Write the report as JSON, folders made as needed."""
-        write_file(Path(path), f"{json.dumps(self.to_dict(), indent=2)}\n".encode(), folders=True)
+        write_json(Path(path), plain(self.to_dict()), folders=True)
 
     def base_moved(self) -> str:
         """Return in words how far the base moved and tilted, or that it is fixed or held."""
@@ -140,7 +140,10 @@ class Report:
             return "fixed"
         x, y, z = (round(value, 2) + 0.0 for value in self.base_displacement_m)  # no -0.00
         held = "hangs on a gantry (scene.gantry), " if self.fell is None else ""
-        return f"{held}moved {x:+.2f} {y:+.2f} {z:+.2f} m, tilted up to {self.tilt_deg:.0f}°"
+        moved = (
+            f"moved {x:+.2f} {y:+.2f} {z:+.2f} m" if math.isfinite(x + y + z) else "place not known"
+        )
+        return f"{held}{moved}, tilted up to {self.tilt_deg:.0f}°"
 
     def wall_text(self) -> str:
         """Return wall time and rate in words; a pause of less than 10 ms is not worth one."""

@@ -33,9 +33,16 @@ def words(states: Mapping[str, Array], period: float) -> tuple[str, str, str]:
         fast.append(f"joints up to {np.abs(finite['joint_vel']).max():.3g} rad/s")
     if "projected_gravity" in finite:
         gravity = finite["projected_gravity"]
+        known = np.isfinite(states["projected_gravity"]).all(axis=1)
         when = float(fall_time(gravity, period))
         lean = math.degrees(math.acos(np.clip(-gravity[:, 2], -1.0, 1.0).min()))
-        fell = f"no: leaned by {lean:.0f}° at most" if math.isnan(when) else f"yes, at {when:.2f} s"
+        fell = f"no: leaned by {lean:.0f}° at most"
+        if not known.all():
+            fell = (
+                f"not known: no attitude in {1.0 - known.mean():.0%} of the time; else {fell[4:]}"
+            )
+        if not math.isnan(when):
+            fell = f"yes, at {np.flatnonzero(known)[round(when / period)] * period:.2f} s"
     if "velocity_command" in finite:
         command = finite["velocity_command"]
         moving = command[np.abs(command).max(axis=1) > 0.0]

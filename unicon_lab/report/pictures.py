@@ -129,7 +129,9 @@ def nearest(keeper: Keeper) -> tuple[str, str]:
         how = "beyond" if share[row, k] > 1.0 + ROUNDING else "nearest to"
         text = f"{robot.joint_names[k]}: {value:.4g} {unit}, {how} its limit of {there:.4g} {unit}"
         found.append((float(share[row, k]), text, float(time[row])))
-    share, text, when = max(found, default=(-1.0, "", 0.0))
+    if not found:
+        return "not known: no joint has a number", "–"
+    share, text, when = max(found)
     return (text, f"at {when:.2f} s") if share >= 0.0 else ("no joint has a limit", "–")
 
 
