@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from itertools import count
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from unicon_base import AnyDict, UniconError, cannot, one_line
@@ -239,13 +239,12 @@ class Collection(Recording):
         """Make the data set, and put it in the place of the one before."""
         from unicon_lab.datasets.export import Wanted, export_dataset
 
-        made, old = (self._out.with_name(f"{self._out.name}.{end}") for end in ("new", "old"))
-        for rest in (made, old):
-            shutil.rmtree(rest, ignore_errors=True)
-        lines = export_dataset([self._folder], made, Wanted())
-        with cannot(f"write {self._out}", ROOM):
-            if self._out.exists():
-                self._out.rename(old)
-            made.rename(self._out)
-        shutil.rmtree(old, ignore_errors=True)
+        out = self._out
+        with TemporaryDirectory(prefix=f"{out.name}.partial-", dir=out.parent) as beside:
+            made = Path(beside, "new")
+            lines = export_dataset([self._folder], made, Wanted())
+            with cannot(f"write {out}", ROOM):
+                if out.exists():
+                    out.rename(Path(beside, "old"))
+                made.rename(out)
         print("\n".join(lines[1:]))
