@@ -1,4 +1,4 @@
-"""What the tests of data sets share: the runs of the records' tests, and three recordings."""
+"""What the tests of data sets share: runs of records' and headsets' tests, three recordings."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-sys.path += [str(Path(__file__).resolve().parents[1] / "record")]
+sys.path += [str(Path(__file__).resolve().parents[1] / each) for each in ("record", "teleop")]
 
 
 @pytest.fixture(scope="session")

@@ -331,13 +331,13 @@ WORKFLOW = {
 class Terminal:
     """`unicon run --collect` in a terminal of its own."""
 
-    def __init__(self, folder: Path, *options: str) -> None:
+    def __init__(self, folder: Path, *options: str, workflow: str = "") -> None:
         path = folder / "workflow.yaml"
         path.write_text(yaml.safe_dump(WORKFLOW), "utf-8")
         theirs, self.ours = pty.openpty()[::-1]
         here = [str(ROOT), str(Path(__file__).parent), str(ROOT / "test" / "record")]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(here), "TERM": "xterm"}
-        command = [sys.executable, "-m", "unicon_ros", "run", str(path), "--no-ros"]
+        command = [sys.executable, "-m", "unicon_ros", "run", workflow or str(path), "--no-ros"]
         command += ["--collect", str(folder / "demos"), *options]
         self.run = subprocess.Popen(
             command, stdin=theirs, stdout=theirs, stderr=theirs, env=environment, cwd=folder

@@ -25,6 +25,13 @@ def test_it_names_every_option_and_state() -> None:
         assert f"`{name}`" in TEXT, name
 
 
+def test_its_cameras_are_those_of_arx_demos() -> None:
+    shown = yaml.safe_load(re.findall(r"```yaml\n(.*?)```", TEXT, re.S)[1])
+    ours = load_document("arx_demos").values
+    for stage, given in shown.items():
+        assert given == ours[stage][: len(given)]
+
+
 def test_its_first_example_is_a_part_of_g1_vr() -> None:
     shown = yaml.safe_load(re.findall(r"```yaml\n(.*?)```", TEXT, re.S)[0])
     ours = load_document("g1_vr").values
@@ -35,6 +42,6 @@ def test_its_first_example_is_a_part_of_g1_vr() -> None:
     assert shown["estimate"] == ours["estimate"]
 
 
-@pytest.mark.parametrize("name", ["g1_vr", "arx_vr"])
+@pytest.mark.parametrize("name", ["g1_vr", "arx_vr", "arx_demos"])
 def test_the_workflows_are_files_that_can_be_read(name: str) -> None:
     assert load_document(name).name == name
