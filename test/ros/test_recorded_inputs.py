@@ -110,7 +110,7 @@ def test_inputs_are_recorded_as_received_and_names_are_those_on_the_wire(
         published[out.topic] += out.published
     assert published.total()
     for topic, count in published.items():
-        assert len(found[topic]) == count
+        assert len(found.get(topic, ())) == count  # nobody listens to `contacts`
     assert {"/robot1/legs/states", "/robot1/tf", "/robot1/robot_description"} <= found.keys()
     assert {"/joint_states", "/robot1/joint_states", "/tf", "/cmd_vel"}.isdisjoint(found)
 

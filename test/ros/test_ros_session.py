@@ -66,7 +66,7 @@ def test_namespace_and_remaps_apply_to_relative_names_only(
 ) -> None:
     run = runs(react, namespace="robot1", ros_args=["-r", "joint_states:=js", "-r", "__node:=two"])
     topics = set(run.session.counts()["topics"])
-    relative = {"/robot1/js", "/robot1/imu/data", "/robot1/odom", "/robot1/cmd_vel"}
+    relative = {f"/robot1/{name}" for name in ("js", "imu/data", "odom", "cmd_vel", "contacts")}
     assert topics == relative | {"/clock", "/tf"}
     assert run.session.node.get_fully_qualified_name() == "/robot1/two"
     heard: list[Any] = []

@@ -136,9 +136,10 @@ class RecordedTopics:
             self._latch("robot_description", "std_msgs/msg/String", described)
         if messages.static:
             self._latch("/tf_static", TF_MESSAGE, messages.static)
-        if frames is not None and frames.out is not None:
-            frames.out.tap = self._tap(frames.out.topic, frames.out.spec)
-        elif messages.links is not None:
+        outs = {} if frames is None else {out.spec.topic: out for out in frames.outs}
+        for out in outs.values():
+            out.tap = self._tap(out.topic, out.spec)
+        if "/tf" not in outs and messages.links is not None:
             self._encode(self._resolved("/tf"), messages.links, messages.update)
             self._reads.update(messages.reads)
 

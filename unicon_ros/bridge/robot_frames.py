@@ -1,4 +1,4 @@
-"""What rviz shows a robot with: robot_description, /tf of the links, /tf_static.
+"""What rviz shows a robot with: robot_description, /tf of the links, /tf_static, contacts.
 
 `RobotMessages` makes them, for recordings too, which publish nothing; `RobotFrames` publishes them.
 The pose of a link is its joint's fixed pose and one turn about (or shift along) the joint's axis,
@@ -7,26 +7,29 @@ so all moving links are one vectorized half-angle formula, 8 µs for 29 joints.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from unicon_base import TextSink, UniconError
+from unicon_base import ModelError, TextSink, UniconError
 from unicon_base.arrays import Array, Float32
 from unicon_core.flow import Block
+from unicon_core.models.feet import Feet
 from unicon_core.models.find import model_of
 from unicon_core.models.kinematic_tree import Link, urdf
 from unicon_core.models.loaded import multiply, rotate
 from unicon_core.models.posed import Footprint
 from unicon_core.models.visual_meshes import dressed
+from unicon_core.platforms.kit.base import rotation
 from unicon_core.workflow import Program
 from unicon_msgs_map import Encoder, FieldSpec, PublishSpec, Qos
 from unicon_msgs_map.layout.messages import shared_messages
 from unicon_msgs_map.layout.paths import parse_path, parse_reference
 from unicon_ros import compat
-from unicon_ros.bridge.bindings import arrays_of
+from unicon_ros.bridge.bindings import arrays_of, robot_variables
 from unicon_ros.bridge.qos import LATCHED, qos_profile
 from unicon_ros.bridge.topics import TopicOut
 from unicon_ros.parameter_table import FRAMES, declare
@@ -107,17 +110,24 @@ def tf_entry(
         rows.append((names[0], FOOTPRINT, "footprint_position", "footprint_quat"))
     fields: list[FieldSpec] = []
     for i, (parent, child, position, quat) in enumerate(rows):
-        for path, source in (
-            ("header.stamp", "stamp_ns"),
-            ("header.frame_id", f"={prefix}{parent}"),
-            ("child_frame_id", f"={prefix}{child}"),
-            ("transform.translation", position),
-            ("transform.rotation", quat),
-        ):
-            whole = f"transforms[{i}].{path}"
-            fields.append(FieldSpec(whole, parse_path(whole), parse_reference(source), where=topic))
+        fields += _element(
+            f"transforms[{i}]",
+            {
+                "header.stamp": "stamp_ns",
+                "header.frame_id": f"={prefix}{parent}",
+                "child_frame_id": f"={prefix}{child}",
+                "transform.translation": position,
+                "transform.rotation": quat,
+            },
+        )
     types, qos = shared_messages(), Qos(depth=1)
     return PublishSpec(topic, TF_MESSAGE, tuple(fields), types, rate, qos, where=topic)
+
+
+def _element(place: str, values: Mapping[str, object]) -> Iterator[FieldSpec]:
+    for path, value in values.items():
+        whole = f"{place}.{path}"
+        yield FieldSpec(whole, parse_path(whole), parse_reference(value), where=place)
 
 
 def static_transforms(links: Sequence[Link], names: Sequence[str], prefix: str = "") -> bytes:
@@ -146,6 +156,7 @@ class RobotMessages:
 
     Attributes:
         description: the URDF; empty where it is not wanted.
+        loaded: the model.
         lacking: meshes that it has not, in one line; empty where all are there.
         reads: the states that /tf is made of.
 
@@ -164,6 +175,7 @@ class RobotMessages:
     ) -> None:
         robot, arrays = program.robot, arrays_of(program)
         loaded, tree, self.lacking = dressed(model_of(program.platform, robot), robot)
+        self.loaded = loaded
         self.description = urdf(tree, robot) if description else ""
         shown = tree if links else tree[:1]
         self._poses = LinkTransforms(shown, arrays["joint_pos"])
@@ -204,8 +216,63 @@ class RobotMessages:
         return Encoder.build(spec, arrays)
 
 
+MARKERS = "visualization_msgs/msg/MarkerArray"
+MARKED = "base_quat", "base_ang_vel", "joint_pos", "joint_vel", "joint_effort"
+"""States that the forces of the feet follow from."""
+MARKER_RATE = 20.0
+"""Of the contacts in [Hz]."""
+_BEARS = 0.4  # of an equal share of the weight; a leg that swings seems to bear up to a third
+
+
+class ContactArrows:
+    """An arrow for each foot that bears, from its lowest point up; 1 m is the robot's weight.
+
+    The force is an estimate from the measured torques of the leg, see `Feet`: it is the same in
+    every simulator and on a robot. A foot that swings, and all of them while a measurement is
+    missing, have an arrow that is not visible (alpha 0).
+
+    Args:
+        feet: of the robot.
+        arrays: what is published by the name of the state, read in place; `MARKED`, `stamp_ns`.
+        frame: of the base.
+
+    Attributes:
+        encoder: of a MarkerArray, one arrow for each foot, after `update`.
+    """
+
+    def __init__(self, feet: Feet, arrays: Mapping[str, Array], frame: str) -> None:
+        self._feet, self._given = feet, [arrays[name] for name in MARKED]
+        self._ends, self._seen = np.zeros((len(feet.names), 2, 3)), np.zeros(len(feet.names))
+        fields: list[FieldSpec] = []
+        for i, foot in enumerate(feet.names):
+            look = {"ns": f"={foot}", "scale.x": 0.015, "scale.y": 0.03, "color.g": 0.8}  # [m]
+            fields += _element(
+                f"markers[{i}]",
+                {
+                    "header.stamp": "stamp_ns",
+                    "header.frame_id": f"={frame}",
+                    **look,
+                    "color.a": f"seen[{i}]",
+                    "points[0]": f"ends[{6 * i}:{6 * i + 3}]",
+                    "points[1]": f"ends[{6 * i + 3}:{6 * i + 6}]",
+                },
+            )
+        spec = PublishSpec("contacts", MARKERS, tuple(fields), shared_messages(), MARKER_RATE)
+        own = {"ends": self._ends, "seen": self._seen, "stamp_ns": arrays["stamp_ns"]}
+        self.encoder = Encoder.build(spec, own)
+
+    def update(self) -> None:
+        """Bring the arrows up to date, in the frame of the base."""
+        feet, ends = self._feet, self._ends
+        self._seen[:] = feet(*self._given) and feet.force > _BEARS * feet.weight / len(ends)
+        if self._seen.any():
+            ends[:] = feet.position[:, None]
+            ends[:, 1, 2] += feet.force / feet.weight
+            ends[:] = ends @ rotation(self._given[0])
+
+
 class RobotFrames:
-    """Publishes `robot_description` and `/tf_static` once, latched for late joiners, and `/tf`.
+    """Publishes `robot_description` and `/tf_static`, latched for late joiners, /tf and contacts.
 
     The node's parameters `publish_link_tf`, `publish_base_footprint` and
     `publish_robot_description` switch each of them off, for a robot_state_publisher instead of us.
@@ -223,8 +290,8 @@ class RobotFrames:
 
     Attributes:
         messages: what is published; None where there is no model, or nothing is wanted.
-        out: the topic /tf; None where there is none.
-        block: publishes /tf when it is due.
+        outs: the topics /tf and `contacts`, where the robot has feet and torques are measured.
+        blocks: publish those when they are due; `contacts` only while it has subscribers.
     """
 
     def __init__(
@@ -237,8 +304,7 @@ class RobotFrames:
         frame_prefix: str = "",
     ) -> None:
         self.messages: RobotMessages | None = None
-        self.out: TopicOut | None = None
-        self.block = Block("publish /tf", lambda: None)
+        self.outs, self.blocks = list[TopicOut](), list[Block]()
         self._node, self._warn = node, warn
         self._latched: list[Any] = []
         declare(node, FRAMES)
@@ -256,18 +322,27 @@ class RobotFrames:
             self._latch("robot_description", "std_msgs/msg/String", messages.description)
         if messages.static:
             self._latch("/tf_static", TF_MESSAGE, messages.static)
-        if messages.links is None:
-            return
-        message = compat.bytes_class(TF_MESSAGE, shared_messages())
-        if message is None:
-            warn(f"topic /tf is left out: type {TF_MESSAGE} is not installed")
-            return
-        every = messages.links.spec.every(program.period)
-        phase, update = every - 1, messages.update
-        self.out = TopicOut(
-            node, messages.links, message, every, phase, group, warn, update, part="links"
-        )
-        self.block = Block("publish /tf (links)", self.out.tick, reads=messages.reads)
+        made: list[tuple[Encoder, Callable[[], None], tuple[str, ...]]] = []
+        if messages.links is not None:
+            made.append((messages.links, messages.update, messages.reads))
+        arrays = {**arrays_of(program), "stamp_ns": stamp}
+        if arrays.keys() >= {*MARKED}:
+            with suppress(ModelError):  # it has no feet
+                feet = Feet(messages.loaded, program.robot)
+                frame = robot_variables(program.robot, frame_prefix)["base_frame"]
+                arrows = ContactArrows(feet, arrays, str(frame))
+                made.append((arrows.encoder, arrows.update, MARKED))
+        for encoder, update, reads in made:
+            spec = encoder.spec
+            message = compat.bytes_class(spec.type, shared_messages())
+            if message is None:
+                warn(f"topic {spec.topic} is left out: type {spec.type} is not installed")
+                continue
+            every = spec.every(program.period)
+            args = node, encoder, message, every, every - 1, group, warn, update, "links"
+            out = TopicOut(*args, lazy=encoder is not messages.links)
+            self.outs.append(out)
+            self.blocks.append(Block(f"publish {spec.topic} (links)", out.tick, reads=reads))
 
     def _latch(self, topic: str, kind: str, content: str | bytes) -> None:
         message = compat.bytes_class(kind, shared_messages())
@@ -279,7 +354,7 @@ class RobotFrames:
         self._latched.append(publisher)
 
     def close(self) -> None:
-        """Destroy the latched publishers; `out` is closed with the other topics."""
+        """Destroy the latched publishers; `outs` are closed with the other topics."""
         for publisher in self._latched:
             self._node.destroy_publisher(publisher)
         self._latched = []

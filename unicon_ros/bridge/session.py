@@ -218,9 +218,8 @@ class RosSession:
             self.node, program, arrays["stamp_ns"], self._group, self.warn, self.frame_prefix
         )
         self._others.append(frames.close)
-        if frames.out is not None:
-            self.outgoing.append(frames.out)
-            blocks.append(frames.block)
+        self.outgoing += frames.outs
+        blocks += frames.blocks
         blocks.append(Block(self.slack.name, self.slack))
         if self.estop is not None:
             self.slack.always |= not self.estop.polled

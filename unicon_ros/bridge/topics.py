@@ -269,6 +269,7 @@ class TopicOut:
         warn: takes warnings.
         prepare: called before each encoding: brings arrays up to date that are not states.
         part: whose messages these are, where a node has several publishers of one topic.
+        lazy: publish only while there are subscribers, because the messages cost much time.
 
     Attributes:
         spec: what the map says of it.
@@ -293,6 +294,7 @@ class TopicOut:
         warn: TextSink,
         prepare: Callable[[], None] | None = None,
         part: str = "map",
+        lazy: bool = False,
     ) -> None:
         spec = encoder.spec
         self.part = part
@@ -310,7 +312,7 @@ class TopicOut:
         self._encode = encoder.encode if prepare is None else prepared(prepare, encoder.encode)
         self._prepared = prepare is not None  # costs more than it would save
         self._publish, self._release = compat.raw_publish(self.publisher)
-        self._every, self._wait = every, phase % every
+        self._every, self._wait, self._lazy = every, phase % every, lazy
         self.block = Block(f"publish {spec.topic}", self.tick, reads=spec.states)
 
     def tick(self) -> None:
@@ -319,6 +321,8 @@ class TopicOut:
             self._wait -= 1
             return
         self._wait = self._every - 1
+        if self._lazy and not self.publisher.get_subscription_count():
+            return
         raw = self._encode()
         if self.tap is not None:
             self.tap(raw)
