@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -37,6 +38,11 @@ policies: {{walk: go2_velocity}}
 commands: [{{velocity_command: {{constant: [0.4, 0.0, 0.2]}}}}]
 flow: {{chain: [{{pose: {{to: stand, duration: 0.4}}}}, {{policy: walk}}]}}
 """
+DIVIDED = f"""\
+name: branch-{os.getpid()}
+parts: {{robot: {{publishes: [joint_pos]}}, desk: {{publishes: [velocity_command]}}}}
+store: shm
+"""
 SECOND = 50  # ticks
 
 
@@ -49,6 +55,7 @@ class Branched:
         ticks: of the run, which a fault then ends.
         text: of the workflow.
         slow: what each tick takes besides, in [s].
+        part: of a divided workflow.
         options: of the run.
 
     Attributes:
@@ -62,6 +69,7 @@ class Branched:
         ticks: int = 8 * SECOND,
         text: str = WALKS,
         slow: float = 0.0,
+        part: str = "",
         **options: Any,
     ) -> None:
         path = folder / "walks.yaml"
@@ -72,7 +80,7 @@ class Branched:
         self._slow = slow
         self._acts, self._ticks, self.controls = acts, ticks, Controls(time.sleep)
         record = FaultRecord(str(folder), warn=str)
-        self.program = Program(document, hooks=[self._hook, record.hook])
+        self.program = Program(document, part=part, hooks=[self._hook, record.hook])
         given = {"speed": "max"} | options
         self.runner = Runner(self.program, RunOptions(warn=self.lines.append, **given))
         record.attach(self.runner)
@@ -221,6 +229,7 @@ def test_a_pause_is_branched_at_once(tmp_path: Path) -> None:
         ("platform: mujoco\n", "platform: fake_robot\n", {"speed": "real"}, "is a real robot"),
         ("rate: 50", "rate: 50\nnum_robots: 2", {}, "leave out num_robots"),
         ("go2_velocity}", "{path: go2_velocity, child: {}}}", {}, "computes elsewhere"),
+        ("name: walks\n", DIVIDED, {"part": "robot"}, "part 'robot' cannot go back without"),
         ("", "", {"native": True}, "leave out --native"),
         ("", "", {"returns": False}, "leave out --collect"),
     ],
@@ -230,6 +239,8 @@ def test_what_cannot_go_back_says_so(
 ) -> None:
     said: list[Any] = []
     text = WALKS.replace(old, new)
+    if "parts:" in text:
+        text = text.replace("[{velocity", "[{on: desk, velocity")
     if "mujoco" not in text or "num_robots" in text:
         text = text.replace(SCENE, "")
 

@@ -294,6 +294,8 @@ class Rewind:
             return f"platform {name} is a real robot, which cannot go back; use a simulator"
         if not isinstance(platform, Library):
             return f"platform {name} cannot save its state; use mujoco or fake"
+        if program.part:
+            return f"part {program.part!r} cannot go back without the others; leave out --part"
         if not self._runner.options.returns:
             return "ticks that are collected may not repeat; leave out --collect"
         if self._runner.options.native:
