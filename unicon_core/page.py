@@ -23,14 +23,12 @@ from unicon_base import UniconError, cannot
 STILL = "<!-- without uplot-python -->"
 """Stands in a page with curves that would be interactive if that package were there."""
 QUESTIONS = (
-    *(
-        "Which joint",
-        "When",
-        "How fast",
-        "Did it fall",
-        "What was commanded",
-        "Where is it recorded",
-    ),
+    "Which joint",
+    "When",
+    "How fast",
+    "Did it fall",
+    "What was commanded",
+    "Where is it recorded",
 )
 """Of `answers`."""
 ROOM = "give a path in a writable folder with room"

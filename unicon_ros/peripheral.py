@@ -134,7 +134,7 @@ def peripheral_block(
     frames = frames or {}
     names = (*peripheral_states(name, {}, frames), *values)
     if context.dry:
-        return Block(name, _nothing, writes=names, endless=True, stage=Stage.RECV)
+        return Block(name, bool, writes=names, endless=True, stage=Stage.RECV)
     layout = subset(context.states.layout, names)
     given = {"name": name, "options": dict(options), "data": dict(data or {})}
     tick = (kind or Peripheral)(
@@ -353,7 +353,3 @@ class Peripheral:
         if watcher is not None:
             self._pipe.close(CLOSING)
             watcher.close()
-
-
-def _nothing() -> None:
-    return None

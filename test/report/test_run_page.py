@@ -246,7 +246,8 @@ def test_a_fault_says_where_its_ticks_are(tmp_path: Path) -> None:
     keeper.attach(runner)
     keeper.write(report)  # and of a run that never ticked
     runner.close()
-    page = read_page((tmp_path / "2.html").read_text("utf-8"))
+    page = read_page(text := (tmp_path / "2.html").read_text("utf-8"))
+    assert answered(text)["When"] == "–, before the flow"
     assert "The last ticks before the fault are in faults/x.mcap" in page.text
 
 

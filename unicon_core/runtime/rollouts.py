@@ -297,7 +297,7 @@ class Rewind:
         if program.part:
             return f"part {program.part!r} cannot go back without the others; leave out --part"
         if not self._runner.options.returns:
-            return "ticks that are collected may not repeat; leave out --collect"
+            return "collected ticks may not repeat; leave out --collect"
         if self._runner.options.native:
             return "a native run cannot go back; leave out --native"
         if program.states.num_robots is not None:

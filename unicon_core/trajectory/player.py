@@ -81,7 +81,7 @@ class Player:
         self._off = np.zeros(len(limits.joints))
         self._spline: Spline | None = None
         self._tolerances: Tolerances | None = None
-        self._ended: Callable[[Ending], object] = _nothing
+        self._ended: Callable[[Ending], object] = bool
         self._ticks = 0
         self._count, self._followed = 0, False
         self._warm_up()
@@ -179,10 +179,6 @@ class Player:
         self.cancel(Ending(code, reason))
 
     def _end(self, ending: Ending) -> None:
-        ended, self._ended = self._ended, _nothing
+        ended, self._ended = self._ended, bool
         self.playing = False
         ended(ending)
-
-
-def _nothing(_: Ending) -> None:
-    """Nobody waits for it."""

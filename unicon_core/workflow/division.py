@@ -35,14 +35,10 @@ def of_part(
     for stage, nodes in sections.items():
         found = [_divided(node, parts, part) for node in nodes]
         own[stage] = [node for node in found if node is not None]
-    own[Stage.FLOW] = own[Stage.FLOW] or [as_block(_idle, name="idle")]
+    own[Stage.FLOW] = own[Stage.FLOW] or [Block("idle", bool)]
     if part != parts.first:
         own[Stage.SAFETY], ending = [], None
     return own, ending
-
-
-def _idle() -> None:
-    """Do nothing: the flow of a part that has none."""
 
 
 def owner_of(block: Block, parts: Parts) -> str:

@@ -249,7 +249,7 @@ def withheld(platform: Platform, states: States) -> Callable[[], bool | None]:
         states: of the program.
     """
     if not platform.facts.simulated:
-        return _nothing
+        return bool
     views = [(states[name], np.zeros_like(states[name])) for name in COMMAND_STATES]
     target, measured = states["joint_pos_target"], states["joint_pos"]
 
@@ -265,10 +265,6 @@ def withheld(platform: Platform, states: States) -> Callable[[], bool | None]:
                 view[...] = kept
 
     return limp
-
-
-def _nothing() -> None:
-    """Send nothing."""
 
 
 class ProgramData:

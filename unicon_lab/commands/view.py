@@ -28,14 +28,11 @@ from unicon_ros.cli.options import (
     whole,
 )
 
-INTERVAL = 1.0 / 60.0
-"""How often a sink looks, in [s]."""
-
 
 def _view(arguments: argparse.Namespace) -> int:
     """Run the command until Ctrl-C; exit status 0."""
     from unicon_lab.recording import open_record
-    from unicon_lab.view.process import sink_class
+    from unicon_lab.view.process import INTERVAL, sink_class
     from unicon_lab.view.recorded import RecordedSource, shown_in
     from unicon_lab.view.source import Remote
 

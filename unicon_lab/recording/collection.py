@@ -76,11 +76,11 @@ class Collection(Recording):
         names = (folder / f"session-{number:03d}.mcap" for number in count(1))
         super().__init__(next(name for name in names if not name.exists()), *options)
         self._begin: int | None = None
-        self._dropped, self._busy, self._spoiled, self._anew = 0, "", "", False
+        self._dropped, self._busy, self._spoiled = 0, "", ""
         self._keys, self._held = True, set[str]()
         self._give_back: Callable[[], object] = bool
         self._tells: list[Callable[[str], object]] = [self._note]
-        self._over = threading.Event()
+        self._over, self._anew = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._work, name="collect", daemon=True)
 
     def hook(self, program: Program) -> HookBlocks:
@@ -95,7 +95,7 @@ class Collection(Recording):
                 self._tells.append(shows)
         self.jpeg = self.jpeg or QUALITY
         stages = super().hook(program)
-        stages[Stage.OBSERVE][0].reset = self._was_reset
+        stages[Stage.OBSERVE][0].reset = self._anew.set
         return stages
 
     def attach(self, runner: Runner) -> None:
@@ -123,7 +123,8 @@ class Collection(Recording):
         elif self._busy:
             return
         elif key in "sr" and self._begin is None:
-            self._begin, self._spoiled, self._anew = self._tick() + 1, "", False
+            self._begin, self._spoiled = self._tick() + 1, ""
+            self._anew.clear()  # of the reset before
             self._dropped = self.counts()["dropped"]
             self._say("started")
         elif key in "kdr" and self._begin is not None:
@@ -166,9 +167,6 @@ class Collection(Recording):
     def _tick(self) -> int:
         return int(self._runner.program.states["tick"].flat[0])
 
-    def _was_reset(self) -> None:
-        self._anew = True
-
     def _spoil(self, why: str) -> None:
         """Note why the present episode cannot be kept, and say so at once."""
         if self._begin is not None and not self._spoiled:
@@ -178,8 +176,8 @@ class Collection(Recording):
     def _look(self) -> None:
         """Spoil an episode in which a camera gives no picture, or the flow was reset."""
         tick = self._tick()
-        if self._anew:
-            self._anew = False
+        if self._anew.is_set():
+            self._anew.clear()
             self._spoil("the run was reset")
         for name, (number, since, handle) in self._newest.items():
             if (new := int(handle.flat[0])) not in (0, number):

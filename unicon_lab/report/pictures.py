@@ -120,12 +120,13 @@ def nearest(keeper: Keeper) -> tuple[str, str]:
         if not keeper.has(state):
             continue
         time, values = keeper.curve(state)
+        centre = np.nan_to_num(centre)
         with np.errstate(divide="ignore", invalid="ignore"):
-            share = np.abs(values - np.nan_to_num(centre)) / limit
+            share = np.abs(values - centre) / limit
         share[~np.isfinite(share)] = -1.0
         row, k = np.unravel_index(share.argmax(), share.shape)
         value = values[row, k]
-        there = np.nan_to_num(centre[k]) + math.copysign(limit[k], value - np.nan_to_num(centre[k]))
+        there = centre[k] + math.copysign(limit[k], value - centre[k])
         how = "beyond" if share[row, k] > 1.0 + ROUNDING else "nearest to"
         text = f"{robot.joint_names[k]}: {value:.4g} {unit}, {how} its limit of {there:.4g} {unit}"
         found.append((float(share[row, k]), text, float(time[row])))

@@ -126,8 +126,8 @@ class Pictured(Keeper):
         where = f"not recorded; {shell(f'unicon run {report.workflow} --record FILE.mcap')}"
         if recorded:
             where = f"{link(recorded, folder)} {shell(f'unicon view {quote(place(recorded))}')}"
-        joint_at = f"{when} of {report.duration_s:.2f} s"
-        return answers(joint, joint_at, fast, fell, asked, Html(where))
+        when += f" of {report.duration_s:.2f} s" if report.ticks else ", before the flow"
+        return answers(joint, when, fast, fell, asked, Html(where))
 
     def _said(self, report: Report) -> list[str]:
         """Return what stands out, most important first."""

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from unicon_base import AnyDict, AnyMapping, UniconError, cannot, imported
-from unicon_core.page import write_file
+from unicon_core.page import write_file, write_json
 from unicon_lab.sweep.figures import COLUMNS
 from unicon_lab.sweep.plan import Plan, Row, changes, code_sha256, versions
 
@@ -98,8 +98,7 @@ class Folder:
         return there
 
     def _tell(self, facts: AnyMapping) -> None:
-        text = json.dumps(facts, indent=1, ensure_ascii=False) + "\n"
-        write_file(self.path / SWEEP, text.encode())
+        write_json(self.path / SWEEP, facts)
 
     def _open(self) -> None:
         """Open the journal with what is known and nothing else in it: its last line may be torn."""

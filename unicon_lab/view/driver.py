@@ -131,7 +131,7 @@ class Driver:
         self._rewind: Rewind | None = None
         self._stands = False  # between two ticks
         self._skills = skills_of(program)
-        self._pull: Callable[[bool], None] = _nothing
+        self._pull: Callable[[bool], object] = bool
         states, platform = program.states, program.platform
         if isinstance(platform, TakesForces) and EXTERNAL_FORCE in states:
             self._pull = Pull(platform, states, told)
@@ -345,7 +345,3 @@ class Driver:
         if not wrong:
             tuning.apply({name: value})
         return not wrong, wrong or f"{name} is {value:g}"
-
-
-def _nothing(_: bool) -> None:
-    """Do nothing: no body may be dragged."""

@@ -8,7 +8,6 @@ count at once, and call its services.
 
 from __future__ import annotations
 
-import json
 import math
 import struct
 import threading
@@ -18,7 +17,7 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 from unicon_base import AnyMapping, imported
-from unicon_core.page import write_file
+from unicon_core.page import write_json
 from unicon_core.platforms.platform import Facts
 from unicon_core.states import States
 from unicon_core.workflow import Program
@@ -79,8 +78,7 @@ class Foxglove:
         self._ticks = Ticks(shown, self._topics)
         self._driver = Publishers(shown, remote, self._say)
         if options.get("layout"):
-            layout = json.dumps(foxglove_layout(shown, self._ticks.feet), indent=1)
-            write_file(Path(options["layout"]), layout.encode())
+            write_json(Path(options["layout"]), foxglove_layout(shown, self._ticks.feet))
         self._loud_until, self._lines = 0.0, 0
         hidden = hidden_address()
         capability = websocket.Capability

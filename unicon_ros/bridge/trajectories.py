@@ -179,7 +179,7 @@ class Trajectories:
         """Play a trajectory of the topic; a refused one is told."""
         self.received += 1
         try:
-            self.player.play(self._points(message), self._tolerances(), _nothing)
+            self.player.play(self._points(message), self._tolerances(), bool)
         except Refusal as refusal:
             self.rejected += 1
             if refusal.reason not in self._told and len(self._told) < REASONS:
@@ -284,7 +284,3 @@ class Trajectories:
 
 def _seconds(duration: Any) -> float:
     return float(duration.sec + duration.nanosec * 1e-9)
-
-
-def _nothing(_: Ending) -> None:
-    """A topic has no result."""

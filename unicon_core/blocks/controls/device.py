@@ -75,13 +75,9 @@ def device_block(name: str, tick: Callable[[], None], context: BuildContext) -> 
     """
     told = () if context.platform is None else context.platform.facts.writes
     if "sticks" in told:
-        return Block(name, _nothing, endless=True, stage=Stage.RECV)
+        return Block(name, bool, endless=True, stage=Stage.RECV)
     closing = {end: getattr(tick, end) for end in ("reset", "close")}
     return Block("device", tick, writes=CONTROL_STATES, endless=True, stage=Stage.RECV, **closing)
-
-
-def _nothing() -> None:
-    """Do nothing: the robot's own remote is heard."""
 
 
 _UNITREE = struct.Struct("<2xH3f4xf16x")
