@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import pty
 import re
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +18,7 @@ import pytest
 
 from unicon_base import UniconError
 from unicon_lab.recording import open_record
+from unicon_lab.view.video import write_video
 from unicon_ros.cli.main import main
 
 pytest.importorskip("mujoco")
@@ -218,3 +222,45 @@ def test_a_record_without_ticks_or_base_says_so(record: Path, tmp_path: Path) ->
     assert film.notes == ["the record has no base_pos_w: the robot stays in its place"]
     with pytest.raises(UniconError, match=r"walk.mcap has no ticks: its run ended before"):
         Film(Other(ticks=np.zeros(0)), (64, 64), False, ())  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("still", [False, True])
+def test_a_gif_is_written_frame_by_frame_and_shows_each_as_it_is(
+    tmp_path: Path, still: bool
+) -> None:
+    sizes = []
+
+    def drawn() -> Iterator[np.ndarray]:
+        for number in range(40):
+            pixels = np.full((64, 80, 3), 200, np.uint8)
+            pixels[10:20, 0 if still else number : 50] = 250, 20, 30
+            yield pixels
+            sizes.extend(path.stat().st_size for path in tmp_path.glob(".*.gif"))
+
+    path = tmp_path / "a.gif"
+    assert write_video(path, drawn(), 10.0) == 40
+    found = frames(path)
+    assert len(found) == 40
+    assert images.open(path).info["duration"] == 100
+    for seen, pixels in zip(found, drawn(), strict=True):
+        assert np.abs(seen.astype(int) - pixels).max() < 8
+    buffered = 8192
+    assert sizes[-1] + buffered >= path.stat().st_size  # no frame waits for the end
+    assert sizes == sorted(sizes)
+
+
+def test_a_terminal_sees_how_many_frames_are_drawn(record: Path, tmp_path: Path) -> None:
+    theirs, ours = pty.openpty()[::-1]
+    command = [sys.executable, "-m", "unicon_ros", "video", str(record), str(tmp_path / "a.gif")]
+    with subprocess.Popen([*command, *SIZE], stdout=subprocess.PIPE, stderr=theirs) as run:
+        os.close(theirs)
+        said = b""
+        with suppress(OSError):  # it has ended
+            while part := os.read(ours, 4096):
+                said += part
+        told = run.communicate(timeout=60.0)[0]
+    os.close(ours)
+    if b"no offscreen OpenGL" in said:
+        pytest.skip("no offscreen OpenGL: apt install libegl1 libgl1-mesa-dri")
+    assert re.search(rb"a\.gif \d+ of 60 frames", said), said
+    assert told == f"{tmp_path / 'a.gif'}: 60 frames, 6.00 s\n".encode()

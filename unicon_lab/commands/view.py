@@ -8,14 +8,16 @@ from __future__ import annotations
 import argparse
 import re
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 from unicon_base import UniconError, alternatives
+from unicon_base.arrays import UInt8
 from unicon_core.page import refuse_unwritable
 from unicon_core.signals import SIGNALS, Interrupted
 from unicon_lab.run_options import VIEW_OPTIONS, view_options
 from unicon_lab.view import SINKS
-from unicon_ros.cli.console import note
+from unicon_ros.cli.console import Console, note
 from unicon_ros.cli.options import (
     REPEATED,
     argument,
@@ -27,6 +29,9 @@ from unicon_ros.cli.options import (
     together,
     whole,
 )
+
+EVERY = 0.2
+"""Of the progress line in [s]."""
 
 
 def _view(arguments: argparse.Namespace) -> int:
@@ -100,12 +105,23 @@ def _video(arguments: argparse.Namespace) -> int:
         )
     for line in film.notes:
         note(f"unicon video: {line}")
+    whole, console = int((end - begin) / step + 1e-6) + 1, Console()
+
+    def shown() -> Iterator[UInt8]:
+        for done, frame in enumerate(film.frames(begin, end, step)):
+            if console.due(EVERY):
+                console.status({f"{path}": f"{done} of {whole} frames"})
+            yield frame
+
     try:
         with SIGNALS.guard():
-            count = write_video(path, film.frames(begin, end, step), arguments.fps)
+            count = write_video(path, shown(), arguments.fps)
     except Interrupted:
+        console.close()
         note(f"unicon video: stopped: {path} was not written")
         raise
+    finally:
+        console.close()
     print(f"{path}: {count} frames, {count / arguments.fps:.2f} s")
     return 0
 

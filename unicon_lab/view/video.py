@@ -291,16 +291,30 @@ def write_video(path: Path, frames: Iterable[UInt8], fps: float) -> int:
 
 
 class _Gif:
-    """A GIF that is being written, with the colours of its first frame; as `Video`."""
+    """A GIF that is being written, with the colours of its first frame; as `Video`.
+
+    Pillow would keep all frames to the end. Of each only the part that differs is written.
+    """
 
     def __init__(self, path: Path, fps: float) -> None:
-        self._path, self._each, self._images = path, 1000.0 / fps, list[Any]()
+        self._gif = imported("PIL.GifImagePlugin", "unicon video", "video", "pillow")
+        self._image = imported("PIL.Image", "unicon video", "video", "pillow")
+        self._file, self._seen, self._first = path.open("wb"), np.zeros(0, np.uint8), None
+        self._info = {"duration": 1000.0 / fps, "loop": 0}
 
     def add(self, pixels: UInt8) -> None:
-        image = imported("PIL.Image", "unicon video", "video", "pillow").fromarray(pixels)
-        palette = self._images[0] if self._images else None
-        self._images.append(image.quantize(255, palette=palette, dither=0))
+        image, box = self._image.fromarray(pixels), (0, 0, *pixels.shape[1::-1])
+        image = image.quantize(255, palette=self._first, dither=0)
+        seen, self._seen = self._seen, np.asarray(image)
+        if self._first is None:
+            self._first = image
+            self._file.writelines(self._gif.getheader(image, info=self._info)[0])
+        else:
+            box = self._image.fromarray(seen ^ self._seen).getbbox() or (0, 0, 1, 1)
+            self._info["transparency"] = 255  # no colour of the first frame has that number
+            image = self._image.fromarray(np.where(seen == self._seen, np.uint8(255), self._seen))
+        self._file.writelines(self._gif.getdata(image.crop(box), box[:2], **self._info))
 
     def close(self) -> None:
-        first, *rest = self._images
-        first.save(self._path, save_all=True, append_images=rest, duration=self._each, loop=0)
+        self._file.write(b";")
+        self._file.close()
