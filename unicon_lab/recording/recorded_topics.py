@@ -6,7 +6,6 @@ since ROS is off or a type is not installed, is encoded for the recording, after
 
 from __future__ import annotations
 
-import os
 import struct
 import threading
 import time
@@ -24,7 +23,7 @@ from unicon_lab.recording.ticks import FRAMES
 from unicon_msgs_map import Encoder, MapStateError, MessageMap, load_map
 from unicon_ros.bridge.bindings import arrays_of, checked_prefix, names_of, robot_variables
 from unicon_ros.bridge.diagnostics import CLOCK
-from unicon_ros.bridge.images import JPEG, STAMP, FrameMessage, jpeg_message
+from unicon_ros.bridge.images import JPEG, STAMP, FrameMessage, as_jpeg, jpeg_message
 from unicon_ros.bridge.qos import LATCHED
 from unicon_ros.bridge.robot_frames import TF_MESSAGE, RobotMessages
 from unicon_ros.bridge.ros_platform import RosPlatform
@@ -336,13 +335,12 @@ class _Stream:
 
 
 class _Jpeg:
-    """Makes a JPEG of a picture, in its place. Pillow does so without Python's lock into a file."""
+    """Makes a JPEG of a picture, in its place."""
 
     def __init__(self, message: FrameMessage, quality: int) -> None:
-        self._image = imported("PIL.Image", "--record-jpeg", "lerobot", "pillow")
+        imported("PIL.Image", "--record-jpeg", "lerobot", "pillow")
         self._from, self._quality = message, quality
         self._to = jpeg_message(0, message.frame_id)
-        self._file = os.fdopen(os.memfd_create("jpeg"), "r+b")
 
     def __call__(self, room: UInt8) -> int:
         """Replace the picture of a message by its JPEG; return the new length, 0 if it is longer.
@@ -350,15 +348,10 @@ class _Jpeg:
         Args:
             room: a whole message, shape (bytes,).
         """
-        height, width, _ = self._from.shape
-        pixels = self._from.data(room.data)
-        picture = self._image.frombuffer("RGB", (width, height), pixels, "raw", "RGB", 0, 1)
-        self._file.seek(0)
-        picture.save(self._file, "JPEG", quality=self._quality)
-        self._file.flush()
-        head, length = bytearray(self._to.template), self._file.tell()
-        if len(head) + length > len(room):
+        data = as_jpeg(self._from.data(room.data), self._from.shape, self._quality)
+        head = bytearray(self._to.template)
+        if len(head) + len(data) > len(room):
             return 0
         head[STAMP] = room[STAMP].tobytes()
         room[: len(head)] = np.frombuffer(head, np.uint8)
-        return self._to.put(room.data, memoryview(os.pread(self._file.fileno(), length, 0)))
+        return self._to.put(room.data, memoryview(data))

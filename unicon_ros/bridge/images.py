@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import AnyDict, AnyMapping, TextSink, UniconError, alternatives
+from unicon_base import AnyDict, AnyMapping, TextSink, UniconError, alternatives, imported
 from unicon_base.arrays import Array, Float32, Float64
 from unicon_base.resources import find_config, same_modules
 from unicon_core.models.camera import Intrinsics
@@ -143,6 +143,25 @@ def jpeg_message(most: int, frame_id: str) -> FrameMessage:
     """
     empty = _message(JPEG, {"header.frame_id": frame_id, "format": "jpeg"})
     return FrameMessage(JPEG, empty + bytes(most), len(empty), (most,), "|u1", frame_id)
+
+
+def as_jpeg(pixels: Any, shape: Sequence[int], quality: int) -> bytes:
+    """Return the JPEG of a picture; into a file, Pillow makes it without Python's lock.
+
+    Args:
+        pixels: rgb8, a buffer.
+        shape: (height, width, 3).
+        quality: 1 to 100.
+
+    Raises:
+        MissingDependencyError: Pillow is not installed.
+    """
+    image = imported("PIL.Image", "pictures as JPEG", "webxr", "pillow")
+    picture = image.frombuffer("RGB", (shape[1], shape[0]), pixels, "raw", "RGB", 0, 1)
+    with os.fdopen(os.memfd_create("jpeg"), "r+b") as file:
+        picture.save(file, "JPEG", quality=quality)
+        file.seek(0)
+        return file.read()
 
 
 def info_message(

@@ -8,7 +8,6 @@ commands:
 
 from __future__ import annotations
 
-import io
 import struct
 import time
 from collections import deque
@@ -18,7 +17,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from unicon_base import MissingDependencyError, WorkflowError, alternatives, imported
+from unicon_base import MissingDependencyError, WorkflowError, alternatives
 from unicon_base.arrays import Float32
 from unicon_base.schema.marks import Within
 from unicon_core.flow import Block
@@ -26,6 +25,7 @@ from unicon_core.handles import FrameRing
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 from unicon_hardware.wire import frame_type
+from unicon_ros.bridge.images import as_jpeg
 from unicon_ros.peripheral import FrameSource, Peripheral, peripheral_block, peripheral_states
 from unicon_ros.web_front import LOOPBACK
 
@@ -210,18 +210,9 @@ class Eye:
                 if len(self._shape) == 1:
                     data = data[: int.from_bytes(frame[self._offset - 4 : self._offset], "little")]
                 else:
-                    data = _jpeg(data, self._shape)
+                    data = as_jpeg(data, self._shape, QUALITY)
                 self._made = handle, true_ns, data
         return self._made
-
-
-def _jpeg(pixels: bytes, shape: Sequence[int]) -> bytes:
-    file, (height, width, _) = io.BytesIO(), shape
-    image = imported("PIL.Image", "cameras of webxr", "webxr", "pillow")
-    image.frombuffer("RGB", (width, height), pixels, "raw", "RGB", 0, 1).save(
-        file, "JPEG", quality=QUALITY
-    )
-    return file.getvalue()
 
 
 MODULE = "unicon_hardware.peripherals.webxr.process"
