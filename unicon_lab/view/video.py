@@ -164,8 +164,16 @@ class Film:
                 for values, colour in zip(lines, (MARK, PALE) if len(lines) > 1 else (None,)):
                     axes.plot(self._source.times[seen], values[seen], color=colour)
                 if 1 < len(names) <= _NAMED:
-                    axes.legend(names, loc="upper right", ncols=len(names), fontsize=6)
-                axes.set_title(f"{label} [{unit}]" if unit else label, fontsize=7, loc="left")
+                    axes.legend(
+                        names,
+                        loc="upper right",
+                        ncols=len(names),
+                        fontsize=6,
+                        handlelength=1,
+                        borderpad=0,
+                        borderaxespad=0,
+                    )
+                axes.set_title(f"{label} [{unit}]" if unit else label, fontsize=6, loc="left")
                 axes.tick_params(labelsize=7)
             every[0].set_xlim(begin, max(end, begin + 1e-6))
             figure.draw_without_rendering()
@@ -298,21 +306,22 @@ class _Gif:
 
     def __init__(self, path: Path, fps: float) -> None:
         self._gif = imported("PIL.GifImagePlugin", "unicon video", "video", "pillow")
-        self._image = imported("PIL.Image", "unicon video", "video", "pillow")
         self._file, self._seen, self._first = path.open("wb"), np.zeros(0, np.uint8), None
         self._info = {"duration": 1000.0 / fps, "loop": 0}
 
     def add(self, pixels: UInt8) -> None:
-        image, box = self._image.fromarray(pixels), (0, 0, *pixels.shape[1::-1])
+        image, box = self._gif.Image.fromarray(pixels), (0, 0, *pixels.shape[1::-1])
         image = image.quantize(255, palette=self._first, dither=0)
         seen, self._seen = self._seen, np.asarray(image)
         if self._first is None:
             self._first = image
             self._file.writelines(self._gif.getheader(image, info=self._info)[0])
         else:
-            box = self._image.fromarray(seen ^ self._seen).getbbox() or (0, 0, 1, 1)
+            box = self._gif.Image.fromarray(seen ^ self._seen).getbbox() or (0, 0, 1, 1)
             self._info["transparency"] = 255  # no colour of the first frame has that number
-            image = self._image.fromarray(np.where(seen == self._seen, np.uint8(255), self._seen))
+            image = self._gif.Image.fromarray(
+                np.where(seen == self._seen, np.uint8(255), self._seen)
+            )
         self._file.writelines(self._gif.getdata(image.crop(box), box[:2], **self._info))
 
     def close(self) -> None:

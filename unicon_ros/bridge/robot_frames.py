@@ -7,7 +7,7 @@ so all moving links are one vectorized half-angle formula, 8 µs for 29 joints.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property
 from typing import Any
@@ -322,9 +322,7 @@ class RobotFrames:
             self._latch("robot_description", "std_msgs/msg/String", messages.description)
         if messages.static:
             self._latch("/tf_static", TF_MESSAGE, messages.static)
-        made: list[tuple[Encoder, Callable[[], None], tuple[str, ...]]] = []
-        if messages.links is not None:
-            made.append((messages.links, messages.update, messages.reads))
+        made = [(messages.links, messages.update, messages.reads)]
         arrays = {**arrays_of(program), "stamp_ns": stamp}
         if arrays.keys() >= {*MARKED}:
             with suppress(ModelError):  # it has no feet
@@ -333,6 +331,8 @@ class RobotFrames:
                 arrows = ContactArrows(feet, arrays, str(frame))
                 made.append((arrows.encoder, arrows.update, MARKED))
         for encoder, update, reads in made:
+            if encoder is None:
+                continue
             spec = encoder.spec
             message = compat.bytes_class(spec.type, shared_messages())
             if message is None:
