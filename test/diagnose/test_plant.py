@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unic
 
 from motions import motion, states_of
 
+from unicon_base.arrays import Float64
 from unicon_base.errors import UniconError
 from unicon_core.platforms.kit.disturbances import PLACE
 from unicon_core.platforms.kit.scene import Scene
@@ -19,10 +22,10 @@ from unicon_core.robots import load_robot
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_lab.diagnose.fit import Fit, Parameter, overlay_text
 from unicon_lab.diagnose.motion import BASE_ANSWERS, Motion
-from unicon_lab.diagnose.plant import KINDS, Place
+from unicon_lab.diagnose.plant import KINDS, Change, Place
 from unicon_lab.diagnose.replays import Replays
 from unicon_lab.diagnose.search import Found, Search
-from unicon_lab.diagnose.windows import Likelihood
+from unicon_lab.diagnose.windows import Likelihood, Settled
 
 GO2 = load_robot("go2")
 CALF, FR_THIGH, FL_CALF = (
@@ -260,6 +263,51 @@ def states(ticks: int = 100) -> dict[str, Any]:
     joints = dict.fromkeys((*PLACE[:2], *COMMAND_STATES), rng.normal(size=(ticks, 12)))
     base = {"base_quat": np.tile((1.0, 0.0, 0.0, 0.0), (ticks, 1))}
     return joints | base | {"base_pos_w": np.zeros((ticks, 3))}
+
+
+class Rough:
+    """Replays whose answers grow with a size, and jump by it as contacts do."""
+
+    likely, step, base = np.full(2, 0.1), 0.002, dict[Place, float]()
+
+    def __init__(self) -> None:
+        rng = np.random.default_rng(0)
+        self.slope = rng.normal(size=(40, 5, 3))
+        self.phase = rng.uniform(0.0, 2.0 * np.pi, (40, 5, 3))
+        self.unknown = rng.normal(size=(40, 5, 3, 2))
+
+    def __call__(self, changes: Sequence[Change], begins: Sequence[Float64]) -> list[Float64]:
+        return [self._answers(*each) for each in zip(changes, begins)]
+
+    def _answers(self, change: Change, begins: Float64) -> Float64:
+        size = change.get(("damping", -1), 0.0)
+        jump = 0.05 * np.sin(60.0 * sum(change.values()) + self.phase)
+        begun = np.einsum("wlmq,wq->wlm", self.unknown, begins)
+        return np.asarray(size * self.slope + jump + begun)
+
+    def derived(self, change: Change, begins: Float64) -> tuple[Float64, Float64]:
+        return self._answers(change, begins), self.unknown
+
+    def settle(self, change: Change) -> Float64:
+        return np.zeros((40, 2))
+
+    def clip(self, place: Place, size: float) -> float:
+        return size
+
+
+@pytest.mark.parametrize("truth", [0.3, 0.62, -0.9])
+def test_a_size_is_found_where_contacts_make_the_likelihood_rough(truth: float) -> None:
+    run, place = Rough(), ("damping", -1)
+    begins = np.random.default_rng(1).normal(scale=0.05, size=(40, 2))
+    real = run._answers({place: truth}, begins)
+    windows = Settled(cast(Any, SimpleNamespace(answers=real)), run)
+    windows.begin()
+    for first in (0.5 * truth, 1.4 * truth):
+        at, _, _, fitted, log = windows.refined({place: first})
+        half = 1.96 * float(fitted.spread[0, 0]) ** 0.5
+        assert abs(at[place] - truth) < max(half, 0.01)
+        assert half < 0.1
+        assert log > windows.level({place: 0.5 * truth})
 
 
 def test_windows_leave_out_gaps_falls_and_what_is_not_a_number() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -158,7 +159,7 @@ class Motion:
         held = {name: np.tile(value, (count, 1)) for name, value in still.items()}
         return replace(self, measured={**self.measured, **held}, hung=True)
 
-    @property
+    @cached_property
     def answers(self) -> Float64:
         """What was measured after each tick of each window, shape (w, l, m).
 

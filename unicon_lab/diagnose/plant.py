@@ -161,8 +161,7 @@ class Plant:
         self._finite = np.isfinite(np.concatenate(sent, axis=1)).all(axis=1)
         self._ahead = 1
         self._offset = np.zeros(robot.num_joints)
-        self._gains = np.ones(2)
-        self._weaker = np.zeros(robot.num_joints)
+        self._sent = {**motion.commands}
         self._bias, self._tilt, self._late = np.zeros(3), np.zeros(3), 0.0
         self._apart = np.array([1.0, 1.0, motion.has_base and _disagrees(motion.answers[..., -1])])
         self._slope = np.zeros(3)
@@ -268,15 +267,7 @@ class Plant:
         return _turned(quat, angles)
 
     def _commands(self, row: int) -> dict[str, Array]:
-        sent = {name: values[row] for name, values in self._motion.commands.items()}
-        sent["joint_pos_target"] = sent["joint_pos_target"] - self._offset
-        starts = self._motion.starts
-        minutes = (row - starts.mean()) * self._motion.period / 60.0
-        strength = np.maximum(1.0 + self._weaker * minutes, 0.0)
-        sent["joint_stiffness"] = sent["joint_stiffness"] * self._gains[0] * strength
-        sent["joint_damping"] = sent["joint_damping"] * self._gains[1] * strength
-        sent["joint_effort_ff"] = sent["joint_effort_ff"] * strength
-        return sent
+        return {name: values[row] for name, values in self._sent.items()}
 
     def _apply(self, change: Change) -> None:
         names, n = self._robot.joint_names, self._robot.num_joints
@@ -302,11 +293,21 @@ class Plant:
         model.dof_damping[dofs] = np.maximum(model.dof_damping[dofs] + sums["viscous friction"], 0)
         limits = 1.0 + sums["torque limit"]
         model.actuator_forcerange[self._platform.servo.actuators] *= limits[:, None]
-        self._weaker, self._late = sums["weakening"], whole["IMU latency"]
+        self._late = whole["IMU latency"]
         delay = float((self.own["delay"] + sums["delay"]).max())
         self._ahead = 1 + int(delay / self._motion.period)
         self._offset = sums["encoder offset"]
-        self._gains = 1.0 + np.array([whole["stiffness"], whole["damping"]])
+        sent = self._sent = {**self._motion.commands}
+        minutes = np.arange(len(self._finite)) - self._motion.starts.mean()
+        minutes = minutes[:, None] * self._motion.period / 60.0
+        strength = np.maximum(1.0 + sums["weakening"] * minutes, 0.0)
+        sent["joint_pos_target"] = sent["joint_pos_target"] - self._offset
+        for word, factor in (
+            ("joint_stiffness", 1.0 + whole["stiffness"]),
+            ("joint_damping", 1.0 + whole["damping"]),
+            ("joint_effort_ff", 1.0),
+        ):
+            sent[word] = sent[word] * factor * strength
         self._bias = np.array([whole[f"gyro bias {axis}"] for axis in "xyz"])
         self._tilt = np.array([whole["attitude x"], whole["attitude y"], 0.0])
         # Rotation of the ground, and gravity as it is seen from there.

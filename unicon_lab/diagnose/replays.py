@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from unicon_base.arrays import Float64
+from unicon_base.arrays import Bool, Float64, Int64
 from unicon_base.errors import PlatformError, UniconError
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import Robot
@@ -52,15 +52,20 @@ class Run(Protocol):
 
     def __call__(self, changes: Sequence[Change], begins: Sequence[Float64]) -> list[Float64]: ...
 
+    def clip(self, place: Place, size: float) -> float: ...
+
+    likely: Float64
+    step: float
+
+
+class RunOfAll(Run, Protocol):
+    """Replays changes in all windows of a motion."""
+
     def derived(self, change: Change, begins: Float64) -> tuple[Float64, Float64]: ...
 
     def settle(self, change: Change) -> Float64: ...
 
-    def clip(self, place: Place, size: float) -> float: ...
-
     base: dict[Place, float]
-    likely: Float64
-    step: float
 
 
 class Replays:
@@ -214,3 +219,56 @@ class Replays:
             for each in {*multiprocessing.active_children()} - self._others:
                 each.kill()  # one that was stopped would be waited for without end
             self._pool.shutdown(cancel_futures=True)
+
+
+class Part:
+    """Replays of some windows alone; see `Run`.
+
+    Args:
+        run: replays all.
+        chosen: whether a window is one of them, shape (w,).
+    """
+
+    def __init__(self, run: Run, chosen: Bool) -> None:
+        self._run, self._chosen = run, chosen
+        self.clip, self.likely, self.step = run.clip, run.likely, run.step
+
+    def __call__(self, changes: Sequence[Change], begins: Sequence[Float64]) -> list[Float64]:
+        whole = [np.full((len(self._chosen), each.shape[1]), np.nan) for each in begins]
+        for each, some in zip(whole, begins):
+            each[self._chosen] = some
+        return [answers[self._chosen] for answers in self._run(changes, whole)]
+
+
+class Derivatives:
+    """Derivatives of windows' answers by the places of a plant, shape (w, l, m) each.
+
+    Args:
+        places: by which.
+        limbs: of each joint, shape (n,); joints of several limbs are moved at once, each its own.
+        run: replays windows.
+        begins: of these, as of `Plant.replayed`.
+        now: their answers without a change.
+    """
+
+    def __init__(
+        self, places: Sequence[Place], limbs: Int64, run: Run, begins: Float64, now: Float64
+    ) -> None:
+        self._found: dict[Place, Float64] = {}
+        together: dict[tuple[str, int], list[Place]] = {}
+        for kind, joint in places:
+            turn = joint if joint < 0 else int((limbs[:joint] == limbs[joint]).sum())
+            together.setdefault((kind, turn), []).append((kind, joint))
+        steps = [KINDS[kind].step for kind, _ in together]
+        changes = [dict.fromkeys(group, step) for group, step in zip(together.values(), steps)]
+        moved = run(changes, [begins] * len(changes))
+        for group, each, step in zip(together.values(), moved, steps):
+            for place in group:
+                own = np.ones(now.shape[-1], np.bool_)
+                if len(group) > 1:
+                    own[len(limbs) :] = False
+                    own[: len(limbs)] = limbs == limbs[place[1]]
+                self._found[place] = (each - now) / step * own
+
+    def __getitem__(self, place: Place) -> Float64:
+        return self._found[place]

@@ -1,8 +1,9 @@
 """Search: which changes of the plant explain a motion, one after the other, and how surely.
 
 All changes are fitted alone, by their derivatives; the best few are followed to where they fit
-best. The best of them, prior odds and BIC's price of a parameter counted, becomes a cause if it is
-far more probable than none, and all others are fitted beside it again.
+best, at first in every second window. Those that come near the best are fitted in all windows. The
+best of them, prior odds and BIC's price of a parameter counted, becomes a cause if it is far more
+probable than none, and all others are fitted beside it again.
 """
 
 from __future__ import annotations
@@ -16,11 +17,9 @@ import numpy as np
 from unicon_base.arrays import Float64, Int64
 from unicon_lab.diagnose.motion import Motion
 from unicon_lab.diagnose.plant import KINDS, Place
-from unicon_lab.diagnose.replays import Run
-from unicon_lab.diagnose.windows import Derivatives, Fitted, Settled
+from unicon_lab.diagnose.replays import Derivatives, RunOfAll
+from unicon_lab.diagnose.windows import Fitted, Settled
 
-COMPARED = 12
-"""Changes whose derivatives are taken of all windows, of those that fit best alone."""
 FOLLOWED, OF_A_KIND = 6, 2
 """Changes that are followed to their best size, of these, and of one kind."""
 PARTS = (0.5, 1.5, 4.0), (1.0, 4.0), (1.0,)
@@ -38,9 +37,11 @@ MOST = 4
 """Causes of one record."""
 HOPE = 3.0
 """What a fit by derivatives promises is exceeded by at most so much."""
+ENOUGH = 36
+"""Windows from which on every second one is enough to find and follow candidates."""
 NEAR, RIVALS = 0.7, 3
-"""Part of what the best candidate adds to the log-likelihood, from which others are fitted as
-closely, and how many at most with it."""
+"""Part of what the best candidate adds to the log-likelihood, from which others are fitted in all
+windows too, and how many at most with it."""
 HOPELESS = 8.0
 """Log odds by which a candidate may lag behind what it needs, and is followed still."""
 BESIDE = 0.03
@@ -69,9 +70,9 @@ class Candidate:
     Attributes:
         place: the one that is new.
         change: sizes of all.
-        answers: of the windows with them.
+        answers: of the windows with them; at first of every second window.
         slope: derivative of the answers by the new one, there.
-        log: likelihood there.
+        log: likelihood there; of all windows as of `Settled.level`.
         begins: of windows there; see `Plant.replayed`.
         fitted: the fit from there, in the order of `change`.
         odds: log odds against the changes before.
@@ -142,7 +143,7 @@ class Search:
         motion: Motion,
         places: Sequence[Place],
         limbs: Int64,
-        run: Run,
+        run: RunOfAll,
         tell: Callable[[str], object],
         reference: Search | None = None,
         most: int = MOST,
@@ -155,7 +156,11 @@ class Search:
         self.motion, self._places, self._run, self._tell = motion, places, run, tell
         self._real = motion.answers
         self._windows = Settled(motion, run)
-        self._slopes = Derivatives(places, limbs, run, len(motion.starts))
+        count = len(motion.starts)
+        self._some = np.arange(count) % (1 + (count >= ENOUGH)) == 0
+        self._limbs = limbs
+        self._slopes: Derivatives
+        self._few: Settled
         self.found = Found()
         self._explained = 0.0
 
@@ -168,24 +173,31 @@ class Search:
         reference = self._reference
         self._scale = reference._scale if reference else self._windows.likelihood.scale
         whole = self.left = self._error(now)
-        begins = self._windows.begins
-        self._slopes.take(now, begins)
+        few = self._few = self._windows.part(self._some, now)
+        first = few.begins, now[self._some]
+        self._slopes = Derivatives(self._places, self._limbs, few.run, *first)
         for _ in range(2 * self._most):  # a cause may be dropped for another one, and come again
             if len(found.causes) == self._most:
                 break
-            followed = self._followed(at, now)
-            if followed and followed[0].odds > CLEAR - HOPELESS:
-                rivals = self._rivals(followed, now)
-                now, begins = self._windows.begun(at)
-                for one in rivals:
-                    refined = self._windows.refined(one.change, one.begins)
-                    one.change, one.answers, one.begins, one.fitted = refined
-                followed = self._judged(followed, now, begins)
-            if not followed or followed[0].odds < CLEAR or not self._matters(followed[0]):
+            followed = self._followed(at, now[self._some])
+            if not followed or followed[0].odds < CLEAR - HOPELESS:
+                break
+            rivals, others = self._rivals(followed, now[self._some])
+            seemed, level = followed[0].odds, self._windows.level(at)
+            for number, one in enumerate(rivals, 1):
+                refined = self._windows.refined(one.change)
+                one.change, one.answers, one.begins, one.fitted, one.log = refined
+                if self._judged([one], level)[0].odds < CLEAR - ALIKE:
+                    rivals = rivals[:number]  # nor are those that come near it
+                    break
+            for one in others:  # they stay behind the first one
+                one.odds += followed[0].odds - seemed
+            followed = self._judged(rivals, level) + others
+            if followed[0].odds < CLEAR or not self._matters(followed[0]):
                 break
             best = followed[0]
             assert best.fitted is not None
-            error = self._error(now, begins)
+            error = self._error(now)
             less = error - self._error(best.answers, best.begins)
             least = OF_REFERENCE * reference._explained if reference else 0.0
             if reference and whole < CALMER * reference.left:
@@ -200,8 +212,8 @@ class Search:
             none = math.exp(-min(best.odds, 700))
             found.probability[best.place] = float(weights[its].sum() / (weights.sum() + none))
             found.shown[best.place] = self._shown(now, best.answers)
-            at, self._windows.begins = best.change, best.begins
-            now = self._windows.derived(at)
+            at = best.change
+            now = self._windows.begun(at)
             found.after = self._square(now)
             bias = np.array([KINDS[kind].bias for kind, _ in at])
             bias = np.maximum(bias, BIAS_FOUND) if self.motion.sought else bias
@@ -224,40 +236,44 @@ class Search:
                 found.causes = [each for each in found.causes if each[0] not in idle]
                 at = {p: size for p, size in at.items() if p not in idle}
                 found.change = {place: found.change[place] for place in at}
-                now = self._windows.derived(at)
+                now = self._windows.begun(at)
                 found.after = self._square(now)
-            self.left, begins = self._error(now), self._windows.begins
+            self.left = self._error(now)
+            self._few = self._windows.part(self._some, now)
             self._explained = whole - self.left
-        self._windows.begins = begins
         found.complete = True
         return found
 
     def rest(self) -> None:
         """Keep what the search has left of a healthy motion, for `lacking`."""
-        self._left = self._windows.left(self._windows.derived(self.found.change))
+        now = self._windows.begun(self.found.change)
+        self._few = self._windows.part(self._some, now)
+        self._left = self._few.left(now[self._some])
 
     def lacking(self, places: Sequence[Place]) -> Fitted:
         """Return what changes of places would explain of what `rest` kept."""
         usual = np.array([KINDS[kind].usual for kind, _ in places])
         slopes = np.stack([self._slopes[place] for place in places], axis=-1)
-        return self._windows.likelihood.fit(self._left, slopes, usual)
+        return self._few.likelihood.fit(self._left, slopes, usual)
 
-    def _rivals(self, followed: Sequence[Candidate], now: Float64) -> list[Candidate]:
-        """Return the best candidate, and those that come near it: contacts hide which is right."""
-        log = self._windows.likelihood.log(self._windows.left(now))
+    def _rivals(
+        self, followed: Sequence[Candidate], now: Float64
+    ) -> tuple[list[Candidate], list[Candidate]]:
+        """Return the best candidate with those that come near it, and all others.
+
+        Contacts hide which is right.
+        """
+        log = self._few.likelihood.log(self._few.left(now))
         near = NEAR * (followed[0].log - log)
-        return [one for one in followed[:RIVALS] if one.log - log >= near]
+        rivals = [one for one in followed[:RIVALS] if one.log - log >= near]
+        return rivals, [one for one in followed if one not in rivals]
 
     def _judged(
-        self, followed: Sequence[Candidate], now: Float64, begins: Float64
+        self, followed: Sequence[Candidate], log: float, share: float = 1.0
     ) -> list[Candidate]:
-        """Return candidates by their odds against answers `now` of windows that begin so."""
-        likelihood = self._windows.likelihood
-        for one in followed:
-            one.log = likelihood.log(self._windows.left(one.answers, one.begins))
+        """Return candidates by their odds against a likelihood of a share of the windows."""
         best = max(followed, key=lambda one: one.log)
-        kappa = max(best.fitted.kappa if best.fitted else 1.0, 1.0) * self._wider**2
-        log = likelihood.log(self._windows.left(now, begins))
+        kappa = share * max(best.fitted.kappa if best.fitted else 1.0, 1.0) * self._wider**2
         for one in followed:
             one.odds = (one.log - log) / kappa + self._price(one.place)
         return sorted(followed, key=lambda one: -one.odds)
@@ -270,9 +286,8 @@ class Search:
         assert best.fitted is not None
         places = [best.place, *(place for place in self._places if place not in best.change)]
         slopes = np.stack([self._slopes[place] for place in places], axis=-1)
-        left = self._windows.left(best.answers, best.begins)
-        slopes = slopes * self._slopes.half[:, None, None, None]
-        known = self._windows.likelihood.information(left, slopes) / self._slopes.half.mean()
+        left = self._few.left(best.answers[self._some], best.begins[self._some])
+        known = self._few.likelihood.information(left, slopes) / self._some.mean()
         parallel = known[0] ** 2 / np.maximum(known[0, 0] * np.diag(known), 1e-30)
         apart = known[0, 0] * (1.0 - parallel)
         odds = 0.5 * best.change[best.place] ** 2 * apart / max(best.fitted.kappa, 1.0)
@@ -313,16 +328,14 @@ class Search:
         return math.log(odds) - 0.5 * math.log(max(self._windows.likelihood.count, 2.0))
 
     def _followed(self, at: dict[Place, float], now: Float64) -> list[Candidate]:
-        """Return the candidates beside what was found, the most probable first."""
-        begins = self._windows.begins
-        log = self._windows.likelihood.log(self._windows.left(now))
+        """Return the candidates beside what was found, the most probable first, by few windows."""
+        few = self._few
+        log = few.likelihood.log(few.left(now))
         places = self._best_alone(now, [place for place in self._places if place not in at])
-        self._slopes.complete(places[:COMPARED])
-        places = self._best_alone(now, places[:COMPARED])
         kinds = [kind for kind, _ in places]
         places = [p for i, p in enumerate(places) if kinds[:i].count(p[0]) < OF_A_KIND][:FOLLOWED]
         candidates = [
-            Candidate(place, at | {place: 0.0}, now, self._slopes[place], log, begins)
+            Candidate(place, at | {place: 0.0}, now, self._slopes[place], log, few.begins)
             for place in places
         ]
         if not candidates:
@@ -334,15 +347,15 @@ class Search:
             moving = self._step(moving, parts)
         for one in candidates:
             self._fit(one)
-        return self._judged(candidates, now, begins)
+        return self._judged(candidates, log, float(self._some.mean()))
 
     def _best_alone(self, now: Float64, places: Sequence[Place]) -> list[Place]:
         """Return places, the one whose change explains most alone first, by derivatives."""
-        left = self._windows.left(now)
+        left = self._few.left(now)
 
         def gain(place: Place) -> float:
             usual = np.array([KINDS[place[0]].usual])
-            fitted = self._windows.likelihood.fit(left, self._slopes[place][..., None], usual)
+            fitted = self._few.likelihood.fit(left, self._slopes[place][..., None], usual)
             return fitted.gain / math.sqrt(max(fitted.kappa, 1.0))
 
         return sorted(places, key=gain, reverse=True)
@@ -352,44 +365,33 @@ class Search:
         slopes = {place: self._slopes[place] for place in one.change} | {one.place: one.slope}
         usual = np.array([KINDS[kind].usual for kind, _ in one.change])
         every = np.stack(list(slopes.values()), axis=-1)
-        one.fitted = self._windows.likelihood.fit(
-            self._windows.left(one.answers, one.begins), every, usual
-        )
+        one.fitted = self._few.likelihood.fit(self._few.left(one.answers, one.begins), every, usual)
         return bool(np.any(np.abs(one.fitted.size) > 0.2 * np.sqrt(np.diag(one.fitted.spread))))
 
     def _hopes(self, one: Candidate, before: float, best: float) -> bool:
         """Return whether a candidate may still become a cause, or like the best one."""
         assert one.fitted is not None
-        kappa = max(one.fitted.kappa, 1.0)
+        kappa = max(one.fitted.kappa, 1.0) * float(self._some.mean())
         reached = one.log + HOPE * one.fitted.gain
         cause = (reached - before) / kappa + self._price(one.place) > CLEAR - HOPELESS
         return cause and (reached - best) / kappa > -HOPELESS
 
     def _step(self, moving: Sequence[Candidate], parts: Sequence[float]) -> list[Candidate]:
         """Move candidates by parts of what was fitted where that helps; return those that moved."""
-        rows = list[tuple[Candidate, dict[Place, float], Float64]]()
+        rows = list[tuple[Candidate, dict[Place, float]]]()
         for one in moving:
             assert one.fitted is not None
             for part in parts:
                 steps = zip(one.change.items(), part * one.fitted.size)
-                change = {p: self._run.clip(p, size + step) for (p, size), step in steps}
-                left = self._windows.left(one.answers, one.begins)
-                for place, size in one.change.items():
-                    slope = one.slope if place == one.place else self._slopes[place]
-                    left = left - slope * (change[place] - size)
-                near, _, far = self._windows.tries(one.begins, left)
-                rows += (one, change, near), (one, change, far)
-        answers = self._run([change for _, change, _ in rows], [begins for *_, begins in rows])
+                rows += [(one, {p: self._run.clip(p, size + step) for (p, size), step in steps})]
         moved = list[Candidate]()
-        for row in range(0, len(rows), 2):
-            one, change, near = rows[row]
-            here, there = self._windows.best(answers[row : row + 2], [near, rows[row + 1][2]])
-            log = self._windows.likelihood.log(self._windows.left(here, there))
+        for (one, change), found in zip(rows, self._few.best_of([change for _, change in rows])):
+            log = self._few.likelihood.log(self._few.left(*found))
             if log > one.log:
-                one.change, one.begins, one.answers, one.log = change, there, here, log
+                one.change, one.log, (one.answers, one.begins) = change, log, found
                 moved = [*(each for each in moved if each is not one), one]
         further = [one.change | {one.place: one.change[one.place] + KINDS[one.place[0]].step}
                    for one in moved]  # fmt: skip
-        for one, beside in zip(moved, self._run(further, [one.begins for one in moved])):
+        for one, beside in zip(moved, self._few.run(further, [e.begins for e in moved])):
             one.slope = (beside - one.answers) / KINDS[one.place[0]].step
         return moved

@@ -1,8 +1,8 @@
 """Windows of a motion: how they begin, and derivatives of their answers, and what is left.
 
 What a window begins with was measured with noise, and the velocity and the height of the base often
-not at all. It is found for each window: at first by the joints alone, then by the likelihood,
-together with sizes of changes.
+not at all. It is found for each window: at first by the joints alone, then by the likelihood, for
+each size from the same start, since a beginning that was fitted with one size favours that size.
 
 Likelihood of what is left of a motion once a change explains its part: what is left, r of a window
 and channel, is Gaussian with a covariance over the window's ticks that is not known: it holds
@@ -22,15 +22,18 @@ of windows up to two apart (Newey and West 1987).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
-from unicon_base.arrays import Bool, Float64, Int64
+from unicon_base.arrays import Bool, Float64
 from unicon_lab.diagnose.motion import Motion
 from unicon_lab.diagnose.plant import KINDS, Change, Place
-from unicon_lab.diagnose.replays import Run
+from unicon_lab.diagnose.replays import Part, Run, RunOfAll
 
 SHAPES = 4
 """Polynomials that describe a window, at most; fewer where there are less than six windows each."""
@@ -77,6 +80,13 @@ class Likelihood:
         self._weights: Float64 = np.minimum(1.0, 2.0 * np.median(size) / np.maximum(size, 1e-12))
         self.count = float(self._weights.sum())
         """Windows, each by its weight."""
+
+    def part(self, chosen: Bool) -> Likelihood:
+        """Return that of some windows, shape (w,), for `leave_out`."""
+        part = copy(self)
+        part._weights = self._weights[chosen]
+        part.count = float(part._weights.sum())
+        return part
 
     def log(self, left: Float64) -> float:
         """Return the concentrated log-likelihood of what is left, shape (w, l, m)."""
@@ -186,19 +196,21 @@ def _scatter(each: Float64) -> Float64:
     return np.asarray(found)
 
 
-REFINED = 7
-"""Turns in which sizes and the unknown beginnings of windows are fitted together, at most. Steps
-grow while they go one way, since effects of inertia and friction saturate, and get smaller where
-they turn back, since contacts make the likelihood rough (Riedmiller and Braun 1993)."""
-BEGUN = 3
-"""Turns in which beginnings alone are, before a candidate is compared with none."""
-_SETTLED = 2
-"""Turns in which the beginnings alone are fitted by the likelihood."""
+REFINED = 3
+"""Steps of all sizes together, at most: they grow while they help, since effects of inertia and
+friction saturate, and shrink where they do not, since contacts make the likelihood rough."""
+WIDE, MOVES = 3.0, 3
+"""Standard deviations between sizes whose likelihoods a parabola is fitted to, and how often these
+sizes are moved. In a Go1's walk the log-likelihood jumped by 77 (standard deviation) between
+dampings 6 % apart."""
+_GRID = np.arange(-2.0, 3.0)
+_AROUND = [
+    ((kind, -1), sign * KINDS[kind].step)
+    for kind in ("strength", "friction")
+    for sign in (-0.1, 0.1)
+]
 _WORST = 3.0
 """Most that an error counts beside its median, where a window chooses how it begins."""
-
-ENOUGH = 24
-"""Windows, from which on every second one is enough for a first look at all changes."""
 
 
 class Settled:
@@ -209,90 +221,131 @@ class Settled:
         run: replays changes.
 
     Attributes:
+        run: replays changes in these windows.
         begins: of windows.
         likelihood: leaves out what other beginnings could explain.
     """
 
-    def __init__(self, motion: Motion, run: Run) -> None:
-        self._real, self._run = motion.answers, run
+    def __init__(self, motion: Motion, run: RunOfAll) -> None:
+        self._real, self.run, self._all = motion.answers, cast(Run, run), run
         self.begins: Float64
         self.likelihood: Likelihood
 
     def begin(self) -> Float64:
         """Find how windows begin without a change, and return the answers."""
-        self.begins = self._run.settle({})
-        now, self._unknown = self._run.derived({}, self.begins)
-        self.likelihood = Likelihood(self._real - now)
-        self._leave_out(now)
-        for _ in range(_SETTLED):
-            _, self.begins = self.chosen({}, self.tries(self.begins, self.left(now)))
-            now = self.derived({})
-        return now
+        self._first = self._all.settle({})
+        return self.begun({})
 
-    def derived(self, change: Change) -> Float64:
-        """Return the answers with a change; the likelihood is from now on of what is left there."""
-        now, self._unknown = self._run.derived(change, self.begins)
+    def part(self, chosen: Bool, now: Float64) -> Settled:
+        """Return some of the windows alone, shape (w,), whose answers are `now` of all windows."""
+        part = copy(self)
+        part._real, part._unknown = self._real[chosen], self._unknown[chosen]
+        part._first, part.begins = self._first[chosen], self.begins[chosen]
+        part.run = Part(self.run, chosen)
+        part.likelihood = self.likelihood.part(chosen)
+        part._leave_out(now[chosen])
+        return part
+
+    def begun(self, change: Change) -> Float64:
+        """Find how windows begin with a change, and return the answers.
+
+        The likelihood is from now on of what is left there.
+        """
+        now, self._unknown = self._all.derived(change, self._first)
+        if not change:
+            self.likelihood = Likelihood(self._real - now)
+        self._leave_out(now)
+        now, self.begins = self.best_of([change])[0]
         self._leave_out(now)
         return now
 
     def _leave_out(self, now: Float64) -> None:
-        self.likelihood.leave_out(self._unknown, self._run.likely, self._real - now)
-
-    def begun(self, at: dict[Place, float]) -> tuple[Float64, Float64]:
-        """Return answers and beginnings with changes that stay, fitted as closely as others are."""
-        for _ in range(BEGUN):
-            now = self.derived(at)
-            now, self.begins = self.chosen(at, self.tries(self.begins, self.left(now)))
-        return now, self.begins
+        self.likelihood.leave_out(self._unknown, self.run.likely, self._real - now)
 
     def refined(
-        self, at: dict[Place, float], begins: Float64
-    ) -> tuple[dict[Place, float], Float64, Float64, Fitted]:
-        """Fit sizes of changes together with how windows begin; these only where that helps one.
+        self, at: dict[Place, float]
+    ) -> tuple[dict[Place, float], Float64, Float64, Fitted, float]:
+        """Fit sizes of changes together; windows begin with each size as they fit it best.
 
         Returns:
-            Sizes, answers, beginnings, and the last fit.
+            Sizes, answers, beginnings, the last fit, and the likelihood, as of `level`.
         """
         usual = np.array([KINDS[kind].usual for kind, _ in at])
-        self.begins = begins
-        part, last = 1.0, np.zeros(len(at))
-        for _ in range(REFINED):
-            now = self.derived(at)
+        now, begins = self.best_of([at])[0]
+        log, part, turn, better = self.likelihood.log(self.left(now, begins)), 1.0, 0, True
+        while better:
             beside = [at | {place: size + KINDS[place[0]].step} for place, size in at.items()]
-            moved = self._run(beside, [self.begins] * len(at))
+            moved = self.run(beside, [begins] * len(at))
             slopes = np.stack([(e - now) / KINDS[k].step for e, (k, _) in zip(moved, at)], axis=-1)
-            left = self.left(now)
-            fitted = self.likelihood.fit(left, slopes, usual)
-            sizes = np.array(list(at.values()))
-            step = fitted.size / np.sqrt(np.diag(fitted.spread))
-            along, least, last = step @ last, 0.25 * (last @ last), step
-            if along < 0.0:
-                part = 0.5 * min(part, 1.0)
-            elif along > least:
-                part = min(2.0 * part, 4.0)
-            after = sizes + part * fitted.size
-            after = np.array([self._run.clip(*each) for each in zip(at, after)])
-            if np.all(np.abs(after - sizes) < 0.2 * np.sqrt(np.diag(fitted.spread))):
-                break
-            at = dict(zip(at, after.tolist()))
-            tries = self.tries(self.begins, left - slopes @ (after - sizes))
-            now, self.begins = self.chosen(at, tries)
-        stepped = [place for place in at if KINDS[place[0]].stepped]
-        for place in stepped:
-            at = self._peak(at, place)
-        if stepped:
-            now = self._run([at], [self.begins])[0]
-        return at, now, self.begins, fitted
+            fitted = self.likelihood.fit(self.left(now, begins), slopes, usual)
+            better, near = False, 0.2 * np.sqrt(np.diag(fitted.spread))
+            while not better and turn < REFINED:
+                sizes = zip(at.items(), part * fitted.size)
+                trial = {p: self.run.clip(p, size + step) for (p, size), step in sizes}
+                if all(abs(trial[place] - at[place]) < least for place, least in zip(at, near)):
+                    break
+                answers, its = self.best_of([trial])[0]
+                there = self.likelihood.log(self.left(answers, its))
+                turn, better = turn + 1, there > log
+                part = min(2.0 * part, 4.0) if better else 0.3 * part
+            if better:
+                at, now, begins, log = trial, answers, its, there
+        for row, place in enumerate(at):
+            if place == next(reversed(at)) or KINDS[place[0]].stepped:
+                at, fitted, log = self._peak(at, place, row, fitted)
+        return at, *self.best_of([at])[0], fitted, log
 
-    def _peak(self, at: dict[Place, float], place: Place) -> dict[Place, float]:
-        """Return sizes with the one that a simulator rounds to its steps where a parabola peaks."""
-        step = self._run.step
-        grid = max(round(at[place] / step), 2) * step + step * np.arange(-2.0, 3.0)
-        answers = self._run([at | {place: float(size)} for size in grid], [self.begins] * len(grid))
-        logs = np.array([self.likelihood.log(self.left(e)) for e in answers])
-        bent, slope, _ = np.polyfit(grid - grid[2], logs, 2)
-        peak = grid[2] - 0.5 * slope / bent if bent < 0.0 else grid[logs.argmax()]
-        return at | {place: float(np.clip(peak, grid[0], grid[-1]))}
+    def _peak(
+        self, at: dict[Place, float], place: Place, row: int, fitted: Fitted
+    ) -> tuple[dict[Place, float], Fitted, float]:
+        """Move one size to where a parabola of the likelihood peaks, and widen its deviation.
+
+        Contacts make the likelihood rough, so that derivatives end on its flanks; a simulator
+        rounds some sizes to its steps. Returns the parabola's height too.
+        """
+        variance, kappa = fitted.spread[row, row], max(fitted.kappa, 1.0)
+        size, step = at[place], WIDE * math.sqrt(variance)
+        if KINDS[place[0]].stepped:
+            step = self.run.step
+            size = max(round(size / step), 2) * step
+        for _ in range(MOVES):
+            sizes = sorted({self.run.clip(place, each) for each in size + step * _GRID})
+            logs = self._logs([at | {place: each} for each in sizes])
+            x = (np.array(sizes) - size) / step
+            fit = np.polynomial.Polynomial.fit(x, logs, min(2, len(x) - 1), domain=[-1, 1])
+            slope, bent = [*fit.coef, 0.0, 0.0][1:3]
+            peak = -0.5 * slope / bent if bent < 0.0 else x[logs.argmax()]
+            size += step * float(np.clip(peak, x[0], x[-1]))
+            if bent < 0.0 and x[0] <= peak <= x[-1]:
+                rough = 0.5 * ((logs - fit(x)) ** 2).sum() / (4.0 * bent**2)
+                rough *= 1.0 / 10.0 + 4.0 * peak**2 / 14.0
+                variance = max(variance, step**2 * (0.5 * kappa / -bent + rough))
+                break
+        else:
+            variance += step**2
+        spread = fitted.spread.copy()
+        spread[row, row] = variance
+        log = float(fit(np.clip(peak, x[0], x[-1])))
+        return at | {place: self.run.clip(place, size)}, replace(fitted, spread=spread), log
+
+    def level(self, at: dict[Place, float]) -> float:
+        """Return the mean likelihood of changes and of some that differ from them by a little."""
+        return float(self._logs([at, *({**at, p: at.get(p, 0.0) + d} for p, d in _AROUND)]).mean())
+
+    def _logs(self, changes: Sequence[Change]) -> Float64:
+        found = self.best_of(changes)
+        return np.array([self.likelihood.log(self.left(*each)) for each in found])
+
+    def best_of(self, changes: Sequence[Change]) -> list[tuple[Float64, Float64]]:
+        """Return answers of each change, and how windows begin that fit it best."""
+        answers = self.run(changes, [self._first] * len(changes))
+        tries = [self.tries(self.left(each, self._first)) for each in answers]
+        twice = [change for change in changes for _ in range(2)]
+        more = iter(self.run(twice, [each for its in tries for each in its]))
+        return [
+            self.best([now, next(more), next(more)], [self._first, *its])
+            for now, its in zip(answers, tries)
+        ]
 
     def left(self, answers: Float64, begins: Float64 | None = None) -> Float64:
         """Return what is left of the motion, had windows begun as they were measured.
@@ -304,80 +357,20 @@ class Settled:
         begins = self.begins if begins is None else begins
         return np.asarray(self._real - answers + np.einsum("wlmq,wq->wlm", self._unknown, begins))
 
-    def tries(self, begins: Float64, left: Float64) -> list[Float64]:
-        """Return how windows may begin: as they do, and so that it explains what is left.
+    def tries(self, left: Float64) -> list[Float64]:
+        """Return how windows may begin so that it explains what is left.
 
         Contacts resist more than a derivative says, so a step of twice the size is one of them.
         """
-        step = self.likelihood.unknowns(left) - begins
-        return [begins, begins + step, begins + 2.0 * step]
-
-    def chosen(self, change: Change, tries: Sequence[Float64]) -> tuple[Float64, Float64]:
-        """Return the answers of a change, and how each window begins where it fits best."""
-        return self.best(self._run([change] * len(tries), tries), tries)
+        step = self.likelihood.unknowns(left) - self._first
+        return [self._first + step, self._first + 2.0 * step]
 
     def best(self, answers: Sequence[Float64], tries: Sequence[Float64]) -> tuple[Float64, Float64]:
         """Return answers and beginnings that fit best, for each window by itself."""
         costs = []
         for answer, begins in zip(answers, tries):
             left = np.minimum(np.abs((self._real - answer) / self.likelihood.scale), _WORST)
-            unlikely = begins / self._run.likely
+            unlikely = begins / self.run.likely
             costs.append((left**2).sum(axis=(1, 2)) + (unlikely**2).sum(axis=1))
         window, which = np.arange(len(self._real)), np.argmin(costs, axis=0)
         return np.stack(answers)[which, window], np.stack(tries)[which, window]
-
-
-class Derivatives:
-    """Derivatives of a motion's answers by the places of a plant, shape (w, l, m) each.
-
-    Args:
-        places: by which.
-        limbs: of each joint, shape (n,); joints of several limbs are moved at once, each its own.
-        run: replays changes.
-        windows: of the motion. Of `ENOUGH`, every second one is zero until it is asked for.
-
-    Attributes:
-        half: windows that all derivatives have, shape (w,).
-    """
-
-    def __init__(self, places: Sequence[Place], limbs: Int64, run: Run, windows: int) -> None:
-        self._places, self._limbs, self._run = places, limbs, run
-        self.half: Bool = np.arange(windows) % (1 + (windows >= ENOUGH)) == 0
-        self._found: dict[Place, Float64] = {}
-        self._lacking = {*places} if windows >= ENOUGH else set[Place]()
-        self._now: Float64
-        self._begins: Float64
-
-    def __getitem__(self, place: Place) -> Float64:
-        return self._found[place]
-
-    def take(self, now: Float64, begins: Float64) -> None:
-        """Take all where answers are `now`, of windows that begin so."""
-        self._now, self._begins = now, begins
-        together: dict[tuple[str, int], list[Place]] = {}
-        for kind, joint in self._places:
-            turn = joint if joint < 0 else int((self._limbs[:joint] == self._limbs[joint]).sum())
-            together.setdefault((kind, turn), []).append((kind, joint))
-        groups = list(together.values())
-        for group, slope in zip(groups, self._taken(groups, self.half)):
-            for place in group:
-                own = np.ones(slope.shape[-1], np.bool_)
-                if len(group) > 1:
-                    own[len(self._limbs) :] = False
-                    own[: len(self._limbs)] = self._limbs == self._limbs[place[1]]
-                self._found[place] = slope * own
-
-    def complete(self, places: Sequence[Place]) -> None:
-        """Take those of places in the other windows, too."""
-        lacking = [place for place in places if place in self._lacking]
-        for place, slope in zip(lacking, self._taken([[each] for each in lacking], ~self.half)):
-            self._found[place] = self._found[place] + slope
-        self._lacking -= {*lacking}
-
-    def _taken(self, groups: Sequence[Sequence[Place]], windows: Bool) -> list[Float64]:
-        """Return derivatives by a step of each group; zeros of other windows."""
-        steps = [KINDS[group[0][0]].step for group in groups]
-        changes = [dict.fromkeys(group, step) for group, step in zip(groups, steps)]
-        begins = np.where(windows[:, None], self._begins, np.nan)
-        moved = self._run(changes, [begins] * len(groups))
-        return [np.nan_to_num((each - self._now) / step) for each, step in zip(moved, steps)]
