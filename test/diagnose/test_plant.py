@@ -300,7 +300,7 @@ def test_a_size_is_found_where_contacts_make_the_likelihood_rough(truth: float) 
     run, place = Rough(), ("damping", -1)
     begins = np.random.default_rng(1).normal(scale=0.05, size=(40, 2))
     real = run._answers({place: truth}, begins)
-    windows = Settled(cast(Any, SimpleNamespace(answers=real)), run)
+    windows = Settled(cast(Any, SimpleNamespace(answers=real, sought=False)), run)
     windows.begin()
     for first in (0.5 * truth, 1.4 * truth):
         at, _, _, fitted, log = windows.refined({place: first})

@@ -228,6 +228,7 @@ class Settled:
 
     def __init__(self, motion: Motion, run: RunOfAll) -> None:
         self._real, self.run, self._all = motion.answers, cast(Run, run), run
+        self._turns = 1 + motion.sought  # one that was found without a change hides a change
         self.begins: Float64
         self.likelihood: Likelihood
 
@@ -338,14 +339,15 @@ class Settled:
 
     def best_of(self, changes: Sequence[Change]) -> list[tuple[Float64, Float64]]:
         """Return answers of each change, and how windows begin that fit it best."""
-        answers = self.run(changes, [self._first] * len(changes))
-        tries = [self.tries(self.left(each, self._first)) for each in answers]
-        twice = [change for change in changes for _ in range(2)]
-        more = iter(self.run(twice, [each for its in tries for each in its]))
-        return [
-            self.best([now, next(more), next(more)], [self._first, *its])
-            for now, its in zip(answers, tries)
-        ]
+        begins = [self._first] * len(changes)
+        answers, twice = self.run(changes, begins), [each for each in changes for _ in range(2)]
+        for _ in range(self._turns):
+            tries = [self.tries(self.left(*each), each[1]) for each in zip(answers, begins)]
+            more = iter(self.run(twice, [each for its in tries for each in its]))
+            found = zip(answers, begins, tries)
+            best = [self.best([now, next(more), next(more)], [at, *its]) for now, at, its in found]
+            answers, begins = [now for now, _ in best], [at for _, at in best]
+        return list(zip(answers, begins))
 
     def left(self, answers: Float64, begins: Float64 | None = None) -> Float64:
         """Return what is left of the motion, had windows begun as they were measured.
@@ -357,13 +359,13 @@ class Settled:
         begins = self.begins if begins is None else begins
         return np.asarray(self._real - answers + np.einsum("wlmq,wq->wlm", self._unknown, begins))
 
-    def tries(self, left: Float64) -> list[Float64]:
-        """Return how windows may begin so that it explains what is left.
+    def tries(self, left: Float64, begins: Float64) -> list[Float64]:
+        """Return how windows may begin, instead of so, that it explains what is left.
 
         Contacts resist more than a derivative says, so a step of twice the size is one of them.
         """
-        step = self.likelihood.unknowns(left) - self._first
-        return [self._first + step, self._first + 2.0 * step]
+        step = self.likelihood.unknowns(left) - begins
+        return [begins + step, begins + 2.0 * step]
 
     def best(self, answers: Sequence[Float64], tries: Sequence[Float64]) -> tuple[Float64, Float64]:
         """Return answers and beginnings that fit best, for each window by itself."""
