@@ -10,9 +10,9 @@ import re
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from unicon_base import UniconError, alternatives
-from unicon_base.arrays import UInt8
 from unicon_core.page import refuse_unwritable
 from unicon_core.signals import SIGNALS, Interrupted
 from unicon_lab.run_options import VIEW_OPTIONS, view_options
@@ -107,7 +107,7 @@ def _video(arguments: argparse.Namespace) -> int:
         note(f"unicon video: {line}")
     whole, console = int((end - begin) / step + 1e-6) + 1, Console()
 
-    def shown() -> Iterator[UInt8]:
+    def shown() -> Iterator[Any]:
         for done, frame in enumerate(film.frames(begin, end, step)):
             if console.due(EVERY):
                 console.status({f"{path}": f"{done} of {whole} frames"})
