@@ -240,8 +240,10 @@ class Part:
         return [answers[self._chosen] for answers in self._run(changes, whole)]
 
 
-class Derivatives:
-    """Derivatives of windows' answers by the places of a plant, shape (w, l, m) each.
+def derivatives(
+    places: Sequence[Place], limbs: Int64, run: Run, begins: Float64, now: Float64
+) -> dict[Place, Float64]:
+    """Return derivatives of windows' answers by places of a plant, shape (w, l, m) each.
 
     Args:
         places: by which.
@@ -250,25 +252,19 @@ class Derivatives:
         begins: of these, as of `Plant.replayed`.
         now: their answers without a change.
     """
-
-    def __init__(
-        self, places: Sequence[Place], limbs: Int64, run: Run, begins: Float64, now: Float64
-    ) -> None:
-        self._found: dict[Place, Float64] = {}
-        together: dict[tuple[str, int], list[Place]] = {}
-        for kind, joint in places:
-            turn = joint if joint < 0 else int((limbs[:joint] == limbs[joint]).sum())
-            together.setdefault((kind, turn), []).append((kind, joint))
-        steps = [KINDS[kind].step for kind, _ in together]
-        changes = [dict.fromkeys(group, step) for group, step in zip(together.values(), steps)]
-        moved = run(changes, [begins] * len(changes))
-        for group, each, step in zip(together.values(), moved, steps):
-            for place in group:
-                own = np.ones(now.shape[-1], np.bool_)
-                if len(group) > 1:
-                    own[len(limbs) :] = False
-                    own[: len(limbs)] = limbs == limbs[place[1]]
-                self._found[place] = (each - now) / step * own
-
-    def __getitem__(self, place: Place) -> Float64:
-        return self._found[place]
+    found: dict[Place, Float64] = {}
+    together: dict[tuple[str, int], list[Place]] = {}
+    for kind, joint in places:
+        turn = joint if joint < 0 else int((limbs[:joint] == limbs[joint]).sum())
+        together.setdefault((kind, turn), []).append((kind, joint))
+    steps = [KINDS[kind].step for kind, _ in together]
+    changes = [dict.fromkeys(group, step) for group, step in zip(together.values(), steps)]
+    moved = run(changes, [begins] * len(changes))
+    for group, each, step in zip(together.values(), moved, steps):
+        for place in group:
+            own = np.ones(now.shape[-1], np.bool_)
+            if len(group) > 1:
+                own[len(limbs) :] = False
+                own[: len(limbs)] = limbs == limbs[place[1]]
+            found[place] = (each - now) / step * own
+    return found

@@ -17,7 +17,7 @@ import numpy as np
 from unicon_base.arrays import Float64, Int64
 from unicon_lab.diagnose.motion import Motion
 from unicon_lab.diagnose.plant import KINDS, Place
-from unicon_lab.diagnose.replays import Derivatives, RunOfAll
+from unicon_lab.diagnose.replays import RunOfAll, derivatives
 from unicon_lab.diagnose.windows import Fitted, Settled
 
 FOLLOWED, OF_A_KIND = 6, 2
@@ -159,7 +159,7 @@ class Search:
         count = len(motion.starts)
         self._some = np.arange(count) % (1 + (count >= ENOUGH)) == 0
         self._limbs = limbs
-        self._slopes: Derivatives
+        self._slopes: dict[Place, Float64]
         self._few: Settled
         self.found = Found()
         self._explained = 0.0
@@ -175,7 +175,7 @@ class Search:
         whole = self.left = self._error(now)
         few = self._few = self._windows.part(self._some, now)
         first = few.begins, now[self._some]
-        self._slopes = Derivatives(self._places, self._limbs, few.run, *first)
+        self._slopes = derivatives(self._places, self._limbs, few.run, *first)
         for _ in range(2 * self._most):  # a cause may be dropped for another one, and come again
             if len(found.causes) == self._most:
                 break

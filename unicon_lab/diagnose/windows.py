@@ -26,7 +26,6 @@ import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 
@@ -227,7 +226,8 @@ class Settled:
     """
 
     def __init__(self, motion: Motion, run: RunOfAll) -> None:
-        self._real, self.run, self._all = motion.answers, cast(Run, run), run
+        self._real, self._all = motion.answers, run
+        self.run: Run = run
         self._turns = 1 + motion.sought  # one that was found without a change hides a change
         self.begins: Float64
         self.likelihood: Likelihood
