@@ -196,12 +196,12 @@ def test_a_second_session_adds_to_the_set_and_says_when_it_has_enough(tmp_path: 
 
     Session(tmp_path, 3, keep_one, "left")
     before = marks(tmp_path)
-    (backup := tmp_path / "demos.old").mkdir()  # of the user, as is demos.new
-    backup.rename(tmp_path / "demos.new")
-    backup.mkdir()
+    own = [tmp_path / f"demos.{end}" for end in ("old", "new")]  # of the user
+    for folder in own:
+        folder.mkdir()
     Session(tmp_path, 2, keep_one, "right")
-    backup.rmdir()
-    (tmp_path / "demos.new").rmdir()
+    for folder in own:
+        folder.rmdir()
     assert marks(tmp_path)[0] == before[0]
     assert [each[0] for each in marks(tmp_path)] == ["session-001.mcap", "session-002.mcap"]
     tasks = parquet.read_table(tmp_path / "demos/meta/tasks.parquet").to_pydict()

@@ -17,7 +17,9 @@ from unicon_core.models.loaded import about, rotate
 from unicon_core.robots import load_robot
 from unicon_ros.bridge.robot_frames import MARKED, ContactArrows, Feet
 
-mujoco = pytest.importorskip("mujoco")
+mujoco = pytest.importorskip(
+    "mujoco", reason="contacts are MuJoCo's: pip install 'unicon_ros[sim]'"
+)
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(90)]
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -27,7 +29,7 @@ def heard(domain: int, until: Callable[[list[Any]], bool], patience: float = 20.
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
 
-    kind = pytest.importorskip("visualization_msgs.msg").MarkerArray
+    kind = pytest.importorskip("visualization_msgs.msg", reason="no visualization_msgs").MarkerArray
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=domain)
     node = rclpy.create_node("listener", context=context)
