@@ -200,8 +200,8 @@ class Driver:
             EmergencyStopPressed: the emergency stop was pressed.
         """
         if self._peripheral is not None:
-            self._peripheral()
             self._stands = True
+            self._peripheral()  # it may hear an act by itself
             self._take(self._peripheral)
             self._stands = False
             self.stop_if_pressed()
