@@ -63,7 +63,7 @@ class _Ours:
 
 
 class _Watch:
-    """Tells where hands are and how near capsules, whoever moved the arms."""
+    """Tells where hands are and how near capsules, no matter what moved the arms."""
 
     def __init__(self, robot: Robot, reaching: Reaching) -> None:
         self._chain = Chain(reaching.loaded, robot, HANDS, robot.group(MOVES))

@@ -136,7 +136,7 @@ def main() -> int:
     from websockets.typing import Subprotocol
 
     address, kind = sys.argv[1:]
-    os.nice(19)  # a browser is on another machine, or comes after whoever ticks
+    os.nice(19)  # a browser is on another machine, or comes after the tick
     split = urlsplit(address)
     raw = socket.create_connection((split.hostname, split.port))
     if kind == "stalled":

@@ -1,4 +1,4 @@
-"""The workflow `go2_walk` as a program: it sends the same commands, to the bit."""
+"""The workflow `go2_walk` as a program: it sends the same commands, bit-exact."""
 
 from unicon_core import Chain, Loop, Program, block, elapsed, policy, pose, run
 

@@ -6,7 +6,7 @@
 
 An emergency stop latches the robot, by what its platform reaches it by: every start on it is
 refused, with or without ROS. A node that was stopped by ~/estop, or that ended with status 3, may
-be started again by whoever watches processes, so it has a file for either, by its ROS domain and
+be started again by a supervisor of processes, so it has a file for either, by its ROS domain and
 its fully qualified name. A file counts until the machine boots. One that cannot be read counts as
 latched.
 """

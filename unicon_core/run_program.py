@@ -1,4 +1,4 @@
-"""`run`: checks a program and runs it to the end, for whoever describes programs in Python."""
+"""`run`: checks a program and runs it to the end, for programs that are described in Python."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Signals: flags in place of exceptions, so that whoever holds motors damps them; for the runner,
+"""Signals: flags in place of exceptions, so that the holder of motors damps them; for the runner,
 the node and the command line.
 
     with SIGNALS, SIGNALS.guard(ask=runner.stop, damp=runner.damp_now):

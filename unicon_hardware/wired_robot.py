@@ -200,7 +200,7 @@ class WiredRobot:
             # A robot that got nothing of ours is somebody else's.
             if self._sent.any:
                 damping = Damping(self._states, self._robot, self._sent, self._period)
-                damped = self._sent.limp  # by whoever ticked
+                damped = self._sent.limp  # by the tick
                 send = partial(self._send_limp, damping)
                 repeated(send, self._period, 0.0 if damped else DAMPING_TIME)
         finally:

@@ -240,7 +240,7 @@ class Peripheral:
         try:
             first = pipe.answer(START)
             watcher = ShmWatcher(segment, GROUP, self._states, self._layout)
-            watcher.unlink()  # nothing is left of whoever is killed
+            watcher.unlink()  # a killed process leaves nothing
         except BaseException:
             pipe.close(0.0)
             remove_dead(segment)

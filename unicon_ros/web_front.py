@@ -141,7 +141,7 @@ class Front:
     async def _come(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         inside = False
         self._asked.append(writer)
-        if len(self._asked) > CLIENTS:  # whoever has been silent for longest makes room
+        if len(self._asked) > CLIENTS:  # the longest silent client makes room
             self._asked.pop(0).transport.abort()
         try:
             with suppress(OSError, asyncio.TimeoutError, asyncio.LimitOverrunError, EOFError):

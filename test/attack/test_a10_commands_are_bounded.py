@@ -1,4 +1,4 @@
-"""No command beyond what policy or robot file allow reaches the flow, whoever gives it."""
+"""No command beyond what policy or robot file allow reaches the flow, from any source."""
 
 from __future__ import annotations
 

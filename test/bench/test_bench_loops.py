@@ -1,4 +1,4 @@
-"""Loops of the latency comparison: held, let go, and ended with their logs, whoever they are."""
+"""Loops of the latency comparison: held, let go, and ended with their logs, of any kind."""
 
 from __future__ import annotations
 

@@ -155,7 +155,7 @@ def slows(share: float) -> Mishap:
 
 
 def jumps_clock(seconds: float) -> Mishap:
-    """The machine's clock of the day jumps; whoever runs it restores `time`."""
+    """The machine's clock of the day jumps; the caller restores `time`."""
 
     def act(program: Program, first: bool) -> None:
         if first:

@@ -148,7 +148,7 @@ def promised(
 
 
 class UdpFace(Endpoint):
-    """The robot's end: it tells whoever has said hello."""
+    """The robot's end: it publishes to each client that has said hello."""
 
     def __init__(
         self, states: States, robot: Robot, address: str, port: int, dead_man: float, held: bool

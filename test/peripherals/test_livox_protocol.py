@@ -1,4 +1,4 @@
-"""A Mid-360's datagrams: what is right is taken to the bit, and everything else refused."""
+"""A Mid-360's datagrams: what is right is taken bit-exactly, and everything else refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A session of teleoperation by a real browser with an emulated headset; it replays to the bit."""
+"""A session of teleoperation by a real browser with an emulated headset; it replays bit-exactly."""
 
 from __future__ import annotations
 

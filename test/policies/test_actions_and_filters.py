@@ -1,4 +1,4 @@
-"""Velocities, torques, filters and command slew equal a plain loop without unicon, to the bit."""
+"""Velocities, torques, filters and command slew equal a plain loop without unicon, bit-exact."""
 
 from __future__ import annotations
 

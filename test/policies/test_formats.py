@@ -1,4 +1,4 @@
-"""Policies in every format are the loop of that format to the bit, and walk alike.
+"""Policies in every format are the loop of that format, bit-exact, and walk alike.
 
 Each format holds go2_velocity (`format_writers.py`). Beside what is imported runs a plain loop of
 numpy, onnxruntime and mujoco, which knows the format by that table alone.

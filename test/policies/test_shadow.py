@@ -132,7 +132,7 @@ def test_it_sees_what_was_executed_in_its_own_action_space(tmp_path: Path) -> No
     expected = (rows["joint_pos_target"][:, order] - [default[i] for i in order]) / 0.5
     np.testing.assert_allclose(shadow, expected, atol=1e-6)
     np.testing.assert_allclose(rows["action"][:, order], 2.0 * shadow, atol=1e-5)
-    # A policy that drives sees its own output, to the bit.
+    # A policy that drives sees its own output, bit-exact.
     alone = ran(tmp_path / "v.yaml", None, 0.4).rows
     assert (alone["action"] == rows["action"]).all()
 

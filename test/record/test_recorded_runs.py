@@ -1,4 +1,4 @@
-"""Recordings of whole runs: every state of every tick, which replays to the bit, at any moment."""
+"""Recordings of whole runs: every state of every tick, which replays bit-exactly, at any moment."""
 
 from __future__ import annotations
 

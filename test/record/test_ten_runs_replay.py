@@ -1,4 +1,4 @@
-"""Ten runs of all policies in MuJoCo, recorded, and replayed by the command line to the bit."""
+"""Ten runs of all policies in MuJoCo, recorded, and replayed by the command line, bit-exact."""
 
 from __future__ import annotations
 

@@ -87,7 +87,7 @@ class Comings:
         wanted = HIGHEST if kind == "1e30" else 0.0
         at = self._go_wrong(peer, kind)
         self.noticed.append((kind, self.reaches(wanted, at, TIMEOUT + ROOM)))
-        if kind == "SIGSTOP":  # whoever is woken up commands again
+        if kind == "SIGSTOP":  # a process that is woken up commands again
             peer.process.send_signal(signal.SIGCONT)
             self.obeyed.append(self.reaches(speed, time.monotonic(), COMING))
         if kind == "nan":

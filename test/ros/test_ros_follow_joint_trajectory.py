@@ -27,7 +27,7 @@ STAND = GO2.default_joint_pos.astype(float)
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 TICK_NS = 10_000_000
 STIFF = "flow.chain.1.forward_command.integral=0"
-"""Targets that are what is commanded, to the bit."""
+"""Targets that are what is commanded, bit-exact."""
 GONE = "nobody follows any more: the flow went on, or the run ends"
 
 

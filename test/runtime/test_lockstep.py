@@ -1,4 +1,4 @@
-"""Lockstep: a rollout does to the bit what it does alone, whoever runs beside it."""
+"""Lockstep: a rollout does bit-exactly what it does alone, no matter what runs beside it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rollouts: a program that began anew does to the bit what one does that was built anew."""
+"""Rollouts: a program that began anew does bit-exactly what one does that was newly built."""
 
 from __future__ import annotations
 

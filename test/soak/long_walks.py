@@ -186,7 +186,7 @@ def _quiet(_: str) -> None:
 
 
 def missing() -> set[str]:
-    """Return safety blocks that a soak does not have, for whoever adds one."""
+    """Return safety blocks that a soak does not have, for authors of new ones."""
     there = {each if isinstance(each, str) else next(iter(each)) for each in STRICT}
     known = {name for name, place in BUILTIN.items() if ".safety." in place}
     predicates = {"commanded", "elapsed", "settled", "tilted"}  # beside the stops, which use them

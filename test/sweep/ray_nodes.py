@@ -28,7 +28,7 @@ main()
 """
 STARTED_S = 60.0
 TOKEN = {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": "0123456789abcdef" * 4}
-"""Environment of whoever joins."""
+"""Environment of a node that joins."""
 
 
 class Node:

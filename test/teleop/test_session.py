@@ -1,4 +1,4 @@
-"""Sessions of teleoperation, recorded: they replay to the same commands, to the bit."""
+"""Sessions of teleoperation, recorded: they replay to bit-exact commands."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ HERE = str(Path(__file__).resolve().parent)
 
 
 def replays(recording: Path) -> Record:
-    """Hold that a recording replays to the bit; return it."""
+    """Hold that a recording replays bit-exactly; return it."""
     record = open_record(recording)
     command = [sys.executable, "-m", "unicon_ros", "replay", str(recording), "--verify"]
     paths = {**os.environ, "PYTHONPATH": HERE}

@@ -1,4 +1,4 @@
-"""`unicon run --metrics PORT`: figures that Prometheus reads, whoever asks and however."""
+"""`unicon run --metrics PORT`: figures that Prometheus reads, for any client and any request."""
 
 from __future__ import annotations
 

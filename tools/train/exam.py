@@ -64,7 +64,7 @@ def examine(
     env = Go2Env(len(names) * robots, 0.002, seed, threads, len(names) * robots, feet_only=False)
     env.push_speed = 0.0
     env.command_period = np.inf
-    env.idle_steps = EPISODE_STEPS + 1  # whoever stands has the speed error of standing
+    env.idle_steps = EPISODE_STEPS + 1  # a robot that stands has the speed error of standing
     env.steps[:] = 0
     env.command[:] = np.repeat([COMMANDS[name] for name in names], robots, axis=0)
     told = env.command.copy()

@@ -124,7 +124,7 @@ class Entry(Counting):
         if self._tick == 0:
             for (_, held), name in zip(self._pairs, COMMAND_STATES):
                 held[...] = self._last.states[name]
-            if not self._last.any:  # whoever ticks by himself has left out the approach
+            if not self._last.any:  # a caller that ticks by itself has left out the approach
                 self._pairs[0][1][...] = self._measured
         self._tick += 1
         share = np.float32(self._tick / self._ticks)

@@ -2,8 +2,8 @@
 
 flow: {chain: [{pose: {to: stand}}, {forward_command: {max_rate: 2.0}}]}
 
-What ros2_control's forward_command_controller is to its hardware, with bounds: whoever commands,
-no joint moves faster than told. An element that is NaN says nothing.
+What ros2_control's forward_command_controller is to its hardware, with bounds: no joint
+moves faster than the bound, no matter what commands. An element that is NaN is ignored.
 
     forward_command: {moves: [arms], silent: home}     # beside a policy that walks on the legs
 """

@@ -1,4 +1,4 @@
-"""Block: the unit of control, for whoever writes one; and how a factory gets the states it names.
+"""Block: the unit of control, for authors of blocks; and how a factory gets the states it names.
 
 A block is built once against the arrays that it names, then called with no argument each tick. It
 returns True when it is done, False or None while it runs (the paper's r), and raises `Fault` when

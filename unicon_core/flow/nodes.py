@@ -1,8 +1,8 @@
 """The flow primitives, for workflow authors: how blocks follow each other from tick to tick.
 
-Every node is stepped once per tick and says whether it is done. Whoever ends is made fresh at once:
-its parts that were still running are reset (`Block.reset`, counters to zero), so a node that is
-entered again starts anew. Equations: UniCon paper, section 3.2.
+Every node is stepped once per tick and says whether it is done. A node that ends is reset at once,
+with its parts that were still running (`Block.reset`, counters to zero), so a node that is entered
+again starts from its beginning. Equations: UniCon paper, section 3.2.
 """
 
 from __future__ import annotations

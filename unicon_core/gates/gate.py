@@ -1,6 +1,6 @@
 """StartGate: the contract of a gate; those that ask another's stop, and those on how things stand.
 
-For runner, preflight and whoever writes a gate of his own. How things stand is the robot's variant,
+For runner, preflight and authors of gates. How things stand is the robot's variant,
 who else commands it, and whether a command would move it.
 """
 
@@ -163,5 +163,5 @@ class NoCommand:
         vx, vy, wz = (figure(v, ".3g") for v in self._command.reshape(-1, 3)[0])
         return (
             f"velocity_command is vx {vx} m/s, vy {vy} m/s, wz {wz} rad/s, and a robot "
-            "begins at zero; let go of the stick, or stop whoever publishes it"
+            "begins at zero; let go of the stick, or stop its publisher"
         )

@@ -1,8 +1,8 @@
 """Reality gap: how far a simulated trajectory is from the real one; metrics on arrays alone.
 
 A trajectory has the axes (n, d): n samples in time at one rate, d elements such as joints. More
-axes may stand in front, (b, n, d); then so does the result's. Whoever has records reads them first
-(`unicon analyze`), brings them to one rate and cuts them.
+axes may stand in front, (b, n, d); then so does the result's. Records are read, brought to
+one rate and cut first (`unicon analyze`).
 """
 
 from unicon_core.metrics.alignment import Aligned, aligned_mse, shift_losses

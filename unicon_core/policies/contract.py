@@ -337,7 +337,7 @@ class PolicyContract(PolicyFacts):
         networks: what runs before the network in `model`, in order.
         child: how it runs in a process of its own or at a server, or None; the workflow says it.
         source: the format that it came from.
-        notes: what whoever runs it should know, such as rounding of the source.
+        notes: what a user should know, such as rounding of the source.
     """
 
     action: ActionSpec

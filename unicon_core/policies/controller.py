@@ -1,4 +1,4 @@
-"""What is asked of any controller, for whoever builds a program or checks it.
+"""What is asked of any controller, by the builder of programs and by check.
 
 A policy is one; inverse kinematics or a predictive controller stands beside it in the same way: its
 tick has an attribute `contract` that says this much.

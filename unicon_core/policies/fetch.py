@@ -1,4 +1,4 @@
-"""Fetching: a policy from where it is published, by the library of whoever publishes it.
+"""Fetching: a policy from where it is published, by the library of its publisher.
 
     hf://OWNER/REPO[@REVISION][/PATH]          huggingface_hub
     wandb://ENTITY/PROJECT/RUN[/PATH]          wandb: files of a run

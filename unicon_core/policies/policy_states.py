@@ -1,6 +1,6 @@
 """The states that a policy adds to the standard ones, and those that it takes and writes.
 
-`policy_states` is for whoever lays out the states; the others are for the block of the policy.
+`policy_states` is for the layout of the states; the others are for the block of the policy.
 """
 
 from __future__ import annotations

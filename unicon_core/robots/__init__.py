@@ -1,4 +1,4 @@
-"""Robots as data: joints, limits, gains, poses, IMU and transport facts, for whoever drives one."""
+"""Robots as data: joints, limits, gains, poses, IMU and transport facts."""
 
 from unicon_core.robots.load import compose, load_files, load_robot, robot_files, robot_names
 from unicon_core.robots.robot import Imu, Robot, joint_index

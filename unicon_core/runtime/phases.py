@@ -29,7 +29,7 @@ from unicon_core.text_table import figures
 from unicon_core.workflow import Program
 
 WIND_DOWN = 5.0
-"""Longest wind-down in [s]: whoever asks a run to end is not to wait for ever."""
+"""Longest wind-down in [s]: a request to end a run must not wait for ever."""
 
 
 class Phase(Enum):
@@ -167,7 +167,7 @@ class RunOptions:
         warn: takes warnings, one line each.
         status: called some times a second with facts for a status line, or None.
         operator: wait for `Runner.go` before a robot moves, where the workflow does not say that
-            nobody is asked. False: whoever runs it has decided.
+            nobody is asked. False: the caller has decided.
         native: run blocks that have a C++ twin as native code, with the same commands.
         returns: a simulation may be set back.
 

@@ -7,7 +7,7 @@ for document in documents:                      # of the same workflow, with oth
 
 Rollouts of several programs may run in one thread, each tick by tick: first all robots read, think
 and command, then the physics of all are simulated. No program knows of another, so that each does
-to the bit what it would do alone; but code and network are still in the cache when the next robot
+bit-exactly what it would do alone; but code and network are still in the cache when the next robot
 needs them, where the physics of a whole tick would have driven them out.
 """
 

@@ -271,7 +271,7 @@ class Runner:
 
     def _failed(self, error: BaseException, place: int) -> None:
         if isinstance(error, Interrupted) and self.faults:
-            return  # told by whoever damped
+            return  # reported where the robot was damped
         try:
             reason = reason_of(error)
         except Exception:  # its text cannot be had

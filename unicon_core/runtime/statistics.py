@@ -340,7 +340,7 @@ def advice_of(statistics: TickStatistics, pacing: Pacing, speed: str, period_ns:
 
 
 def _real_time() -> bool:
-    """Return whether whoever started this process gave it a real-time priority (`chrt`)."""
+    """Return whether this process was started with a real-time priority (`chrt`)."""
     try:
         return os.sched_getscheduler(0) in (os.SCHED_FIFO, os.SCHED_RR)
     except (OSError, AttributeError):

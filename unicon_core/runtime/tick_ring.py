@@ -1,4 +1,4 @@
-"""TickRing: the last ticks to the bit, in memory, for fault records and recordings.
+"""TickRing: the last ticks, bit-exact, in memory, for fault records and recordings.
 
 A tick is kept as the whole buffer of the states at each *moment* at which something came from
 outside, and at its end: `received` (behind recv), `input` and `tuned` (behind blocks that a hook

@@ -47,7 +47,7 @@ GAIN_SCALE_SPEC = StateSpec(
     (2,),
     "float64",
     names=("joint_stiffness", "joint_damping"),
-    description="factors of the gains, by whoever hosts the workflow",
+    description="factors of the gains, by the host of the workflow",
     initial=1.0,
 )
 """Of the state that a host which scales gains adds to a workflow, so that records tell it."""
@@ -172,7 +172,7 @@ def external_states() -> dict[str, StateSpec]:
     """Return the states of a force on one body, and of an impulse on the base.
 
     A simulator whose facts name `external_force` applies the force for as long as it stands there;
-    whoever writes `external_push` pushes the platform in the same tick.
+    a block that writes `external_push` pushes the platform in the same tick.
     """
     world = ("x", "y", "z")
     return {

@@ -1,6 +1,6 @@
 """Agreement: how robots that see one another agree on the moment of their start, for meetings.
 
-Whoever stands first in the list of those that are ready names a moment; the others repeat it. Where
+The first in the list of those that are ready names a moment; the others repeat it. Where
 all have done so half a second before it, the first one stays with it, else it takes it back; the
 others stay with it where they still hear so shortly before. So nobody begins because of a word that
 was taken back, as long as words take less than `DECIDE - COMMIT - FRESH` and ticks come in time.
@@ -124,7 +124,7 @@ class Agreement:
         """Repeat the moment that another one names, and stay with it in the end.
 
         Where the lists of robots differ, the other one may lack nobody: who does takes up no
-        moment. One that was taken up stays, whoever is lost behind its decision.
+        moment. One that was taken up stays, no matter which robot is lost behind its decision.
         """
         if not (self._moment and self._leader in there):
             self._leader = there[0]

@@ -1,4 +1,4 @@
-"""Ground: a terrain as shapes in the world, for whoever lays it under a robot.
+"""Ground: a terrain as shapes in the world, for platforms, which lay it under a robot.
 
 The robot begins at the origin, where the ground is flat at height 0; x points forward. A slope,
 stairs, a pyramid and gaps follow from their figures alone; rough ground, patches and obstacles are
@@ -180,7 +180,7 @@ BELOW = 0.02
 
 
 def uniform(seed: int, *shape: int) -> Float64:
-    """Return numbers from 0 up to 1, the same to the bit in every version of NumPy.
+    """Return numbers from 0 up to 1, bit-exact in every version of NumPy.
 
     What PCG64 gives is promised to stay (NEP 19), what `Generator` makes of it is not: the upper 53
     of each 64 bits, as a fraction.
@@ -260,7 +260,7 @@ assert _MAKERS.keys() == KINDS.keys()
 
 
 def ground_of(terrain: Terrain) -> Ground:
-    """Return the ground of a terrain, the same to the bit for the same figures and seed."""
+    """Return the ground of a terrain, bit-exact for the same figures and seed."""
     return _MAKERS[terrain.kind](terrain)
 
 

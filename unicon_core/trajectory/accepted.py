@@ -107,7 +107,7 @@ FARTHEST = 60.0
 """From now to its start in [s]: a later one is of another clock, such as the wall's."""
 SHARES = np.linspace(0.0, 1.0, 5)
 """Of each segment, where speeds and positions are looked at: a cubic from rest to rest is fastest
-at 1/2. Whoever follows bounds what lies between."""
+at 1/2. The follower bounds what lies between."""
 ROUNDING = 1e-4
 """In [rad] and as a share of a speed: figures of messages are rounded."""
 

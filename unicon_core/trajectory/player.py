@@ -52,7 +52,7 @@ class Player:
         period: of a tick in [s].
         position: written: commanded positions in [rad], shape (n,), NaN where nothing is.
         velocity: written: commanded velocities in [rad/s], shape (n,).
-        target: of whoever follows: commanded positions of the last tick in [rad], shape (n,).
+        target: of the follower: commanded positions of the last tick in [rad], shape (n,).
         measured: read: positions in [rad], shape (n,).
         follows: how many ticks somebody has followed the commands, since he began to.
 

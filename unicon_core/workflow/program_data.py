@@ -3,7 +3,7 @@
 The gate is the last check before `send`: a closed workflow and a tick that hung send nothing. A
 silent run (`unicon run --dry`, preflight) computes everything and sends nothing.
 
-Command bounds are the largest velocity command that the flow ever sees. Whoever gives it
+Command bounds are the largest velocity command that the flow ever sees. What gives it
 (`commands:`, a topic, a block of one's own), the last thing before a reader is a clip: to the
 `command_ranges` of the controllers that read it, else of the robot file, else to `CAUTIOUS`. Zero
 is always allowed: it is what silence commands.
@@ -353,7 +353,7 @@ class ProgramData:
     # -- while it runs --------------------------------------------------------------------------
 
     def tell(self, message: str) -> None:
-        """Hand on what a block tells, to whoever listens by then."""
+        """Hand on what a block reports to the sinks of that time."""
         self.warn(message)
 
     def close(self) -> None:

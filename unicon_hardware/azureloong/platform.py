@@ -1,6 +1,6 @@
 """Platform `azureloong`: AzureLoong through its joint interface, UDP port 8006.
 
-The robot answers to whoever sends it commands, so that even a listener has to send: frames whose
+The robot answers to the sender of commands, so that even a listener has to send: frames whose
 state is 0, which the robot does not carry out, until the first command.
 """
 

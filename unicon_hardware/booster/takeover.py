@@ -117,7 +117,7 @@ class Takeover(Procedure):
     def _procedure(self) -> Generator[str, None, None]:
         client = self._client
         yield from self._there(lambda: client.there, f"its service {client.service}")
-        yield from self._there(self._found, "whoever hears its commands")
+        yield from self._there(self._found, "the receiver of its commands")
         while (mode := (yield from self._mode())) not in ("prepare", "custom"):
             yield from self._pause(
                 f"a person to bring the robot into prepare mode with its remote or app, and to set "

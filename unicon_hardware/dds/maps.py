@@ -190,7 +190,7 @@ class Message:
     Attributes:
         topic: of DDS.
         type: such as `unitree_go/msg/LowState`.
-        fields: path in it to an array, or to what a map says of one, as whoever reads it has it;
+        fields: path in it to an array, or to what a map says of one, as its reader has it;
             left out where the array is not there.
         sent: path to what who makes it writes besides.
         taken: path to an array that only who reads it has, or to the number that must stand there.

@@ -224,7 +224,7 @@ class Participant:
         self._open = False
         for entity in reversed(self._entities):
             with suppress(Exception):
-                entity.__del__()  # deletes it now, whoever else still refers to it
+                entity.__del__()  # deletes it now, with other references to it left
         self._entities.clear()
         with suppress(AttributeError):  # it could not be made
             self._participant.__del__()

@@ -152,7 +152,7 @@ def tick_channel(number: int, layout: Layout, kept: RecordedSubset, names: Names
     # Readers know a type by its name: two layouts must not share one.
     mark = _mark(f"{texts}")
     lines = [
-        f"# A tick of unicon, to the bit; the states' layout is {layout.hash}.",
+        f"# A tick of unicon, bit-exact; the states' layout is {layout.hash}.",
         *("int64 stamp_ns", "int64 tick", PHASE, "uint32 ended"),
         *(f"unicon/{word}{mark} {name}" for name, (word, _) in texts.items()),
     ]

@@ -115,7 +115,7 @@ def _refuse_absent(document: WorkflowDocument) -> None:
         if not isinstance(text, str) or not text.startswith(("/", "./", "../")):
             continue
         if any(f"{key}.".startswith(f"{each}.") for each in document.overridden):
-            continue  # it is whoever set it whom its loader tells
+            continue  # the loader names the override
         if not os.path.exists(folder / text) and not os.path.exists(text):
             raise WorkflowError(
                 f"the recorded workflow has {key}: {text}, which was in {folder} where it was "

@@ -116,7 +116,7 @@ _FORMS = ", ".join(KINDS.values())
 
 
 def setting_of(path: str, value: Any) -> str:
-    """Return `PATH=VALUE` as `--set` reads it, to the bit.
+    """Return `PATH=VALUE` as `--set` reads it, bit-exact.
 
     Raises:
         UniconError: it cannot be written so.

@@ -135,7 +135,7 @@ class Results:
         return [str(text) for text in json.loads(self.every(SETTINGS)[place])]
 
     def command(self, place: int) -> str:
-        """Return the command that runs a row again, to the bit, by its place among all.
+        """Return the command that runs a row again, bit-exact, by its place among all.
 
         Its report has the row's `sha256_commands`: an early stop ends there, too; a fault comes by
         itself.

@@ -1,6 +1,6 @@
 """Driver: what comes back from a viewer: velocity, emergency stop, and what it wishes.
 
-A viewer that drives replaces whoever commands the velocity, as /cmd_vel does. Once it is not heard
+A viewer that drives replaces what commands the velocity, as /cmd_vel does. Once it is not heard
 for `DEAD_MAN` seconds the command is zero, and stays so until somebody begins to drive anew, by a
 touch; only a driver who lets go gives the command back to the workflow.
 """

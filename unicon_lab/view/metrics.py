@@ -55,7 +55,7 @@ _OF_STATES = (
 
 
 class Metrics:
-    """The sink of `--metrics`: counts every tick, and answers whoever asks.
+    """The sink of `--metrics`: counts every tick, and answers every request.
 
     Args:
         shown: the run.

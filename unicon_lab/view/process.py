@@ -21,7 +21,7 @@ BEAT = 0.25
 """How often the run is told that this process lives, in [s]; each time costs a tick 20 µs."""
 
 NICE = 19
-"""A viewer comes after whoever ticks: at 10 it still raised the p99 of a tick several times."""
+"""A viewer comes after the tick: at 10 it still raised the p99 of a tick several times."""
 
 
 def sink_class(word: str) -> Any:

@@ -168,7 +168,7 @@ class Remote:
     def drive(self, velocity: Array) -> None:
         """Command a velocity, [m/s, m/s, rad/s]; it counts for `DEAD_MAN` seconds.
 
-        What is not finite is not taken. Whoever was silent for that long has to touch anew.
+        What is not finite is not taken. After so long a silence a viewer has to touch again.
         """
         velocity = np.asarray(velocity, np.float32)
         if velocity.shape != (3,) or not np.isfinite(velocity).all():
@@ -246,7 +246,7 @@ class Wheel:
 
     A velocity is sent only when the driver's page was heard, so that the run's own dead-man counts
     from there. A driver who is lost, by silence, a hidden page or a closed one, leaves the
-    command at zero; he has to take the wheel anew, and whoever comes first may.
+    command at zero; he has to take the wheel again, and the first to ask gets it.
 
     Args:
         remote: what drives.

@@ -200,7 +200,7 @@ class Quadratic:
 
     daqp (Arnström, Bemporad, Axehill: A dual active-set solver for embedded quadratic programming
     using recursive LDLᵀ updates, IEEE TAC 67(8), 2022) is asked without a warm start, so that what
-    it answers depends on the problem alone: a replay is the same to the bit.
+    it answers depends on the problem alone: a replay is bit-exact.
 
     Args:
         size: of x, k.

@@ -1,6 +1,6 @@
 """Tasks: what end effectors lack to their targets, as the cost of a quadratic program.
 
-With what whoever builds it says: weights, distances and tolerances. Targets are read of states,
+With what its builder says: weights, distances and tolerances. Targets are read of states,
 brought to the present, and refused where they are none.
 """
 

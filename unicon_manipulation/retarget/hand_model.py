@@ -37,7 +37,7 @@ class HandModel:
         robot: with a `hand`.
         side: of it, where its file is of both.
         model: MJCF or URDF instead of the robot file's own.
-        relative_to: folder of whoever names it.
+        relative_to: folder of the file that names it.
 
     Attributes:
         fingers: as of the robot file.

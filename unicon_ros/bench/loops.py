@@ -2,8 +2,9 @@
 
 A machine's speed changes by half within seconds (other tenants, clocks), so pipelines that are
 measured one after the other are not measured alike. Here all of them live at once, discovered and
-warm, and take turns of a second and less; whoever is not measured costs nothing. Nobody is held as
-long as a lease: peers of which only one takes the other for dead do not meet again (Fast DDS 2.14).
+warm, and take turns of a second and less; a loop that is not measured costs nothing. No loop is
+held as long as a lease: peers of which only one takes the other for dead do not meet again (Fast
+DDS 2.14).
 """
 
 from __future__ import annotations

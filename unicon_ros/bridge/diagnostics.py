@@ -72,7 +72,7 @@ class Neighbours:
         full = self.node.get_fully_qualified_name()
         self._tell(
             "name",
-            f"there are {there} nodes {full} in this ROS domain: whoever calls a service or sets a "
+            f"there are {there} nodes {full} in this ROS domain: a service call or a "
             "parameter reaches them all or any one; give each a name or a namespace of its own "
             "(-r __node:=NAME, -r __ns:=/NAME)"
             if there > 1

@@ -3,7 +3,7 @@
 Ticks take its requests directly from the middleware, right before `send` and once more after it,
 about 2 µs each, so that no load of the executor and no length of a tick stands between a press and
 the motors. An executor may serve it as well, while nothing runs or in the slack: a request is taken
-once, by whoever comes first, and either way it latches. Only `~/clear_estop` lets go.
+once, by the first to come, and either way it latches. Only `~/clear_estop` lets go.
 
 The latch is kept in files, the node's and those of the robots that it drives, where `keep` asks for
 it, so that a process that is started anew has it too; see `unicon_core.latches`.

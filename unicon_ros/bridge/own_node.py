@@ -31,7 +31,7 @@ from unicon_ros.process_exit import exit_watchdog
 TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 RANGE, LOCALHOST_ONLY = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"
-# Whoever sets one of these, or has one of these files in the working folder, has chosen.
+# A user who sets one of these, or has one of these files in the working folder, has chosen.
 CHOICES = (TRANSPORTS, "FASTDDS_ENVIRONMENT_FILE", "ROS2_EASY_MODE")
 FILES = ("DEFAULT_FASTRTPS_PROFILES.xml", "DEFAULT_FASTDDS_PROFILES.xml")
 OTHERS = ("ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER")
@@ -162,7 +162,7 @@ class OwnNode:
         """Destroy the node and shut its context down, once."""
         if not self._closed:
             self._closed = True
-            # A middleware that never ends is a fault; whoever knows better asks for it sooner.
+            # A middleware that never ends is a fault; a caller may ask for it sooner.
             with exit_watchdog(3, 20.0):
                 self.executor.shutdown()
                 self.node.destroy_node()

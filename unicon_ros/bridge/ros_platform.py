@@ -73,7 +73,7 @@ SEND_FAILURES = 5
 """So many failures in a row to publish a command are a fault."""
 
 LONGEST_DAMPING = 0.8
-"""Largest option `damping`, [s]: whoever asks a run to end waits for it."""
+"""Largest option `damping`, [s]: a request to end a run waits for it."""
 
 
 def _reached(options: AnyMapping) -> str:
@@ -289,7 +289,7 @@ class RosPlatform:
             # A robot that got nothing of ours is somebody else's.
             if self._sent.any:
                 damping = Damping(self._states, self._robot, self._sent, self._period)
-                damped = self._sent.limp and not self._hold  # by whoever ticked, and told before
+                damped = self._sent.limp and not self._hold  # by the tick, and reported before
                 again = partial(self._send_again, damping)
                 repeated(again, self._period, 0.0 if damped else self._damping)
                 self._servo.torque[...] = 0.0  # a controller of efforts keeps the last for ever

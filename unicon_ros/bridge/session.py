@@ -296,7 +296,7 @@ class RosSession:
     # -- helpers --------------------------------------------------------------------------------
 
     def _keep_latch(self, program: Program) -> None:
-        """Whoever starts a robot anew, a person or a supervisor, does not get round the latch."""
+        """No new start of a robot, by a person or a supervisor, gets round the latch."""
         estop, moves = self.estop, not (program.platform.facts.simulated or program.silent)
         if estop is not None and (moves or self._own is None):
             estop.keep(program.latches)

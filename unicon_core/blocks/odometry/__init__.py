@@ -1,1 +1,1 @@
-"""Odometry from a robot's own sensors, for policies, navigation and whoever asks how it moves."""
+"""Odometry from a robot's own sensors, for policies, navigation and reports."""

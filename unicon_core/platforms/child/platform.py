@@ -5,7 +5,7 @@
 
 The parent publishes the command states at `send` and takes the measured ones at `recv`, both
 through shared memory (`states/backends/shm/`). A simulator is ticked in step: `recv` waits for
-the answer to the last command, so that a run is the same to the bit. A robot's process runs freely,
+the answer to the last command, so that a run is bit-exact. A robot's process runs freely,
 and `recv` takes the newest.
 
 Either side may die or hang at any moment. The parent then faults within `silence`, and the child
@@ -122,7 +122,7 @@ class ChildPlatform:
             self.facts = told["facts"]
             self._info: AnyMapping = told["info"]
             self._reader = ShmReader(self._child_segment, MEASURED, states)
-            # Nobody else is to find them, and whoever is killed leaves nothing.
+            # No other process finds them, and a killed one leaves nothing.
             self._segment.unlink()
             self._reader.unlink()
         except BaseException:

@@ -210,7 +210,7 @@ class MujocoPlatform:
         how = self._states, self._robot, self._period, self._read, scene, self._passive
         begins = self._begins if scene.begins_as(self._scene) else None  # 0.4 ms to find
         other = MujocoPlatform(self._mujoco, *how, begins)
-        # Whoever holds `recv` and `send` holds methods of the robot, which is another one now.
+        # A holder of `recv` and `send` holds methods of the robot, which is another one now.
         other.robots[0].postponed = self.robots[0].postponed
         self.robots[0].become(other.robots[0])
         own = ("robots", "recv", "send", "reset", "change")

@@ -44,7 +44,7 @@ WINDOW = 25_000_000
 
 LAYOUT_FACTOR, LAYOUT_SPARE = 8, 4096
 """A foreign layout is read up to so many times the length of the reader's own, and so many bytes:
-whoever reaches the port chooses that text, and 1 MiB of it takes 1.8 s to read."""
+any client of the port chooses that text, and 1 MiB of it takes 1.8 s to read."""
 PARSE_PERIOD = 500_000_000
 """ns from one foreign layout that is parsed, by a thread, to the next one."""
 

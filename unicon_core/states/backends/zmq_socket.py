@@ -157,7 +157,7 @@ class Endpoint:
             return
         path = address.removeprefix("ipc://")
         is_file = address.startswith("ipc://") and not path.startswith("@")
-        if is_file and _answers(path):  # it would be taken from whoever has it, without a word
+        if is_file and _answers(path):  # it would be taken from its server, without a word
             raise self.zmq.ZMQError(self.zmq.EADDRINUSE)
         self.socket.bind(address)
         if is_file:

@@ -240,7 +240,7 @@ class WebXr:
         self._loop.run_until_complete(asyncio.sleep(SLICE))
 
     def _request(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Answer whoever asks for a page; None lets a websocket open."""
+        """Answer a request for a page; None lets a websocket open."""
         url = urlsplit(request.path)
         given = parse_qs(url.query).get("token", [""])[0]
         if url.path == SCRIPT:  # which says nothing of us

@@ -176,7 +176,7 @@ class Page:
         self._handle = handle
 
     def _answer(self) -> None:
-        """Give answers to whoever asked."""
+        """Give each answer to the page that asked."""
         answers = self._source.answers
         while answers:
             answered = answers.pop(0)

@@ -1,7 +1,7 @@
 """What every pipeline shares: arguments, time stamps of wall-clock time, and logs without I/O.
 
 All processes run on one host, whose clock they share: a message carries the time when its
-state was made, and whoever gets it subtracts.
+state was made, and its receiver subtracts.
 """
 
 from __future__ import annotations

@@ -73,7 +73,7 @@ class PositionSensor(Device):
 
 
 class Field:
-    """A field by name of whoever has it."""
+    """A field by name of the node that has it."""
 
     def __init__(self, robot: Supervisor, owner: str, name: str, joint: int = -1) -> None:
         self._robot = robot

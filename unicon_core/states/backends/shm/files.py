@@ -138,7 +138,7 @@ def remove_dead(name: str) -> bool:
         what = f"cannot take over {path}: {error.strerror}; remove it"
         raise StateError(f"store shm: {what}") from error
     try:
-        # Asked, not taken: whoever looks just now must not think that the writer lives.
+        # Asked, not taken: another reader must not think just now that the writer lives.
         if not lock(fd, fcntl.F_RDLCK, WRITER_LOCK, ask=True):
             return False
         if not lock(fd, fcntl.F_WRLCK, REMOVER_LOCK):

@@ -142,7 +142,7 @@ class ShmWriter:
         number = self._number + 1
         head, pairs = self._slots[number % SLOTS]
         fence = self._fence
-        head[0] = 0  # whoever copies it just now sees that it is going
+        head[0] = 0  # a reader that copies it just now sees that it is going
         if fence is not None:
             fence()
         for packed, state in pairs:

@@ -206,7 +206,7 @@ class Segment:
                 lock(self._fd, fcntl.F_UNLCK, SLEEPER_LOCKS + place)
 
     def unlink(self) -> None:
-        """Take its name away: whoever has it keeps it, and nothing is left when they have ended."""
+        """Take its name away: processes that have it keep it, and it is gone when they end."""
         unname(segment_path(self.name), self.inode)
 
     def close(self) -> None:
