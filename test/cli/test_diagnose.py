@@ -105,6 +105,7 @@ def test_nothing_found_is_an_answer(
     assert "nothing found: no cause explains more of the record than" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_base_without_measured_velocity_hides_no_weak_motor(tmp_path: Path) -> None:
     record = open_record(recorded(tmp_path, 4.0, "noise: {base_quat: 0.001}, "))
     del record.layout.slots["base_lin_vel"]  # type: ignore[attr-defined]

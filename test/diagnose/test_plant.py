@@ -105,6 +105,7 @@ def test_it_finds_a_weak_motor_and_no_other(tmp_path: Path) -> None:
     assert found.probability["strength", CALF] > 0.99
 
 
+@pytest.mark.slow
 def test_with_equal_gains_damping_is_not_told_from_viscous_friction(tmp_path: Path) -> None:
     it = motion(tmp_path, {}, seconds=3.0)
     assert np.ptp(it.commands["joint_damping"]) == 0.0
@@ -223,6 +224,7 @@ def test_a_walk_without_measured_velocity_names_its_cause_too(
         assert abs(found.change[place] - size) < found.deviation[place]
 
 
+@pytest.mark.slow
 def test_what_a_healthy_robot_has_otherwise_is_no_cause(tmp_path: Path) -> None:
     own = {"*": {"strength": 0.9, "friction": 0.4}}
     weak = own | {"RL_calf_joint": {"strength": 0.5, "friction": 0.4}}

@@ -108,16 +108,16 @@ def test_who_looks_back_does_not_drive(run: Run, page: Page) -> None:
     until(lambda: not page.ago)
 
 
-@pytest.mark.parametrize("garbage", [float("nan"), float("inf"), -5.0, 1e300])
-def test_a_time_that_is_none_shows_one_that_is(run: Run, page: Page, garbage: float) -> None:
-    page.set("time [s]", garbage)
-    time.sleep(0.5)
-    page.set("Branch here", True)
-    time.sleep(0.5)
-    page.set("Back to live", True)
-    until(lambda: not page.ago)
-    assert run.report is None
-    assert page._thread.is_alive()
+def test_a_time_that_is_none_shows_one_that_is(run: Run, page: Page) -> None:
+    for garbage in (float("nan"), float("inf"), -5.0, 1e300):
+        page.set("time [s]", garbage)
+        time.sleep(0.5)
+        page.set("Branch here", True)
+        time.sleep(0.5)
+        page.set("Back to live", True)
+        until(lambda: not page.ago)
+        assert run.report is None
+        assert page._thread.is_alive()
 
 
 def test_a_page_branches_twice_and_in_a_pause(run: Run, page: Page) -> None:
