@@ -43,7 +43,7 @@ from unicon_core.check.twin.perturb import (
 )
 from unicon_core.flow import Block, Stage
 from unicon_core.models.find import pick_model
-from unicon_core.models.frames import turned_by
+from unicon_core.models.frames import multiply, turned_by
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel
 from unicon_core.platforms.kit.base import rotation
@@ -261,14 +261,15 @@ def _wrong(case: Case, program: Program) -> HookBlocks:
     offset[case.joints] = of("encoder offset")
     bias = [of(f"gyro bias {axis}") for axis in "xyz"]
     tilt = [of("attitude x"), of("attitude y"), 0.0]
-    mount = rotation(np.array(turned_by((1.0, 0.0, 0.0, 0.0), tilt, 1.0)))
+    mounted = turned_by((1.0, 0.0, 0.0, 0.0), tilt, 1.0)
+    mount = rotation(np.array(mounted))
 
     def sensed() -> Any:
         gone = recv()
         states.joint_pos += offset
         states.base_ang_vel = states.base_ang_vel @ mount + bias
         states.projected_gravity = states.projected_gravity @ mount
-        states.base_quat = turned_by(states.base_quat.tolist(), tilt, 1.0)
+        states.base_quat = multiply(states.base_quat.tolist(), mounted)
         return gone
 
     def acted() -> Any:

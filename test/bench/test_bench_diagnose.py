@@ -13,10 +13,11 @@ import pytest
 
 from benchmarks import diagnose
 from benchmarks.diagnose import judged, rates_of, run
-from benchmarks.injected import HEALTHY, SETUP, SIZES, Case, cases, mistake
+from benchmarks.injected import HEALTHY, SETUP, SIZES, Case, cases, made, mistake
 from unicon_base.errors import UniconError
 from unicon_core.models.find import pick_model
 from unicon_core.models.load import load_model
+from unicon_core.platforms.kit.base import rotation
 from unicon_core.robots import load_robot
 from unicon_core.workflow import load_document
 from unicon_core.workflow.members import load_robot_of
@@ -52,6 +53,18 @@ def test_each_kind_meets_each_robot_and_plant_that_has_it() -> None:
         (robot, plant) for plant, robots in PLANTS.items() for robot in robots
     }
     assert len({case.kind for case in quick}) > 35
+
+
+def test_a_turned_imu_turns_attitude_gravity_and_rates_alike(assets: Path, tmp_path: Path) -> None:
+    """At a heading, too: an attitude that is turned about the world's axes is a slope's."""
+    case = next(one for one in cases() if one.name.startswith("go1/mujoco/attitude x/4"))
+    record, name = made(case, 1, str(tmp_path), 6.0)
+    assert name == "attitude x"
+    quats = np.array(record.states("base_quat"), np.float64)
+    ups = rotation(quats)[:, 2]
+    off = np.abs(ups + record.states("projected_gravity"))
+    assert np.abs(quats[:, 3]).max() > 0.1  # it has turned
+    assert off.mean() < 0.004  # noise
 
 
 def test_a_mistake_changes_the_contract_of_each_robot(assets: Path) -> None:

@@ -16,6 +16,7 @@ from motions import motion, states_of
 
 from unicon_base.arrays import Float64
 from unicon_base.errors import UniconError
+from unicon_core.platforms.kit.base import rotation
 from unicon_core.platforms.kit.disturbances import PLACE
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import load_robot
@@ -197,6 +198,25 @@ def test_a_small_turn_of_the_imu_is_reported() -> None:
     found = searched(it, [("attitude y", -1), ("attitude x", -1), ("payload", -1)])
     assert [place for place, _ in found.causes] == [("attitude y", -1)]
     assert found.change["attitude y", -1] == pytest.approx(0.008, abs=0.003)
+
+
+def test_a_gyroscope_reads_in_the_axes_of_its_mount() -> None:
+    states, period = states_of("go2_walk", {}, seconds=13.0)
+    half, every = 0.15, np.arange(len(states["tick"])) > 500  # it walks a bend
+    turn = np.array([np.cos(half), np.sin(half), 0.0, 0.0])
+    w, x, y, z = states["base_quat"].T
+    a, b = turn[:2]
+    turned = np.stack([a * w - b * x, a * x + b * w, a * y + b * z, a * z - b * y], axis=1)
+    its = states | {"base_quat": turned, "base_ang_vel": states["base_ang_vel"] @ rotation(turn)}
+
+    def error(states: dict[str, Any], change: Change) -> float:
+        it = Motion.of(states, period, every, most=10)
+        with Replays(GO2, Scene(), it, 1) as replays:
+            (answers,) = replays([change], [replays.settle({})])
+        return float(np.median(np.abs(answers - it.answers)[..., 14:17]))
+
+    right = error(its, {("attitude x", -1): 2.0 * half})
+    assert right < 0.08 < 0.5 < error(its, {})  # the base's height is by its feet
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ import numpy as np
 from unicon_base.arrays import Array, Float64, Int64
 from unicon_base.errors import Fault, ModelError
 from unicon_core.models.feet import Feet
+from unicon_core.models.frames import multiply, turned_by
 from unicon_core.models.loaded import LoadedModel, import_mujoco
 from unicon_core.models.posed import PosedModel
 from unicon_core.platforms.kit.base import rotation
@@ -114,6 +115,16 @@ Place = tuple[str, int]
 
 Change = Mapping[Place, float]
 
+TOGETHER = 0.3
+"""Part of a kind's step by which all joints are moved at once: contacts resist a larger one."""
+
+
+def step_of(place: Place) -> float:
+    """Return the step by which a derivative by a place is taken, in the unit of its kind."""
+    kind = KINDS[place[0]]
+    return kind.step * (TOGETHER if kind.each and place[1] < 0 else 1.0)
+
+
 AROUND = 3
 """Ticks before and behind the first one of a window, over which `Plant.carried` is a median."""
 LEVEL = 0.03
@@ -201,7 +212,7 @@ class Plant:
                         late = states["base_ang_vel"] * self._late
                         quat = self._tilted(states["base_quat"], self._tilt - late, 1.0)
                         row[n : n + 2] = gravity_xy(quat)
-                        row[n + 2 : n + 5] = states["base_ang_vel"] + self._bias
+                        row[n + 2 : n + 5] = states["base_ang_vel"] @ self._mount + self._bias
                         row[n + 5 :] = self._bias * self._apart
             except Fault:
                 found[window] = motion.answers[window] + _LOST
@@ -237,7 +248,7 @@ class Plant:
         put["joint_pos"] = put["joint_pos"] - self._offset
         put["joint_vel"] = put["joint_vel"] - begin[: len(self._offset)]
         if "base_ang_vel" in put:
-            put["base_ang_vel"] = put["base_ang_vel"] - self._bias
+            put["base_ang_vel"] = self._mount @ (put["base_ang_vel"] - self._bias)
         if "base_quat" in put:
             late = put["base_ang_vel"] * self._late if "base_ang_vel" in put else 0.0
             put["base_quat"] = self._tilted(put["base_quat"], late - self._tilt, -1.0)
@@ -310,6 +321,7 @@ class Plant:
             sent[word] = sent[word] * factor * strength
         self._bias = np.array([whole[f"gyro bias {axis}"] for axis in "xyz"])
         self._tilt = np.array([whole["attitude x"], whole["attitude y"], 0.0])
+        self._mount = rotation(_turned(np.array([1.0, 0.0, 0.0, 0.0]), self._tilt))
         # Rotation of the ground, and gravity as it is seen from there.
         self._slope = np.array([whole["slope y"], -whole["slope x"], 0.0])
         model.opt.gravity[:] = self._gravity + np.cross(self._gravity, self._slope)
@@ -363,16 +375,8 @@ def _merged(
 
 
 def _turned(quat: Array, angles: Float64) -> Float64:
-    """Return an attitude (wxyz) turned by small angles [rad] about its own axes."""
+    """Return an attitude (wxyz) turned by an axis times an angle [rad] in its own frame."""
     if not angles.any():
         return np.asarray(quat, np.float64)
-    w, x, y, z = np.asarray(quat, np.float64)
-    a, b, c = angles / 2.0
-    return np.array(
-        [
-            w - x * a - y * b - z * c,
-            x + w * a + y * c - z * b,
-            y + w * b + z * a - x * c,
-            z + w * c + x * b - y * a,
-        ]
-    )
+    turn = turned_by((1.0, 0.0, 0.0, 0.0), angles.tolist(), 1.0)
+    return np.array(multiply(np.asarray(quat, np.float64).tolist(), turn))

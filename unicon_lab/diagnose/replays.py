@@ -18,7 +18,7 @@ from unicon_core.platforms.kit.scene import Scene
 from unicon_core.robots import Robot
 from unicon_core.signals import SIGNALS
 from unicon_lab.diagnose.motion import Motion
-from unicon_lab.diagnose.plant import KINDS, Change, Place, Plant
+from unicon_lab.diagnose.plant import KINDS, Change, Place, Plant, step_of
 from unicon_ros.process_exit import die_with_parent
 
 _SHIFTS = np.array([0.05, 0.05, 0.05, 0.002])
@@ -257,7 +257,7 @@ def derivatives(
     for kind, joint in places:
         turn = joint if joint < 0 else int((limbs[:joint] == limbs[joint]).sum())
         together.setdefault((kind, turn), []).append((kind, joint))
-    steps = [KINDS[kind].step for kind, _ in together]
+    steps = [step_of(group[0]) for group in together.values()]
     changes = [dict.fromkeys(group, step) for group, step in zip(together.values(), steps)]
     moved = run(changes, [begins] * len(changes))
     for group, each, step in zip(together.values(), moved, steps):

@@ -1,9 +1,9 @@
 """Search: which changes of the plant explain a motion, one after the other, and how surely.
 
 All changes are fitted alone, by their derivatives; the best few are followed to where they fit
-best, at first in every second window. Those that come near the best are fitted in all windows. The
-best of them, prior odds and BIC's price of a parameter counted, becomes a cause if it is far more
-probable than none, and all others are fitted beside it again.
+best, at first in every second window. Those that come near the best, and matter, are fitted in all
+windows. The best of them, prior odds and BIC's price of a parameter counted, becomes a cause if it
+is far more probable than none, and all others are fitted beside it again.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 from unicon_base.arrays import Float64, Int64
 from unicon_lab.diagnose.motion import Motion
-from unicon_lab.diagnose.plant import KINDS, Place
+from unicon_lab.diagnose.plant import KINDS, Place, step_of
 from unicon_lab.diagnose.replays import RunOfAll, derivatives
 from unicon_lab.diagnose.windows import Fitted, Settled
 
@@ -42,6 +42,8 @@ ENOUGH = 36
 NEAR, RIVALS = 0.7, 3
 """Part of what the best candidate adds to the log-likelihood, from which others are fitted in all
 windows too, and how many at most with it."""
+HALF = 0.5
+"""Part of the least change that matters, from which a candidate is fitted in all windows."""
 HOPELESS = 8.0
 """Log odds by which a candidate may lag behind what it needs, and is followed still."""
 BESIDE = 0.03
@@ -184,12 +186,9 @@ class Search:
                 break
             rivals, others = self._rivals(followed, now[self._some])
             seemed, level = followed[0].odds, self._windows.level(at)
-            for number, one in enumerate(rivals, 1):
+            for one in rivals:
                 refined = self._windows.refined(one.change)
                 one.change, one.answers, one.begins, one.fitted, one.log = refined
-                if self._judged([one], level)[0].odds < CLEAR - ALIKE:
-                    rivals = rivals[:number]  # nor are those that come near it
-                    break
             for one in others:  # they stay behind the first one
                 one.odds += followed[0].odds - seemed
             followed = self._judged(rivals, level) + others
@@ -202,7 +201,8 @@ class Search:
             least = OF_REFERENCE * reference._explained if reference else 0.0
             if reference and whole < CALMER * reference.left:
                 least = max(least, OF_LEFT * reference.left)
-            if less < max(BESIDE * (whole - error), least):
+            least = max(BESIDE * (whole - error), least)
+            if least and less < least:
                 break
             alike = [each.place for each in followed[1:] if best.odds - each.odds < ALIKE]
             alike += [place for place in self._like(best) if place not in alike]
@@ -272,6 +272,8 @@ class Search:
         self, followed: Sequence[Candidate], log: float, share: float = 1.0
     ) -> list[Candidate]:
         """Return candidates by their odds against a likelihood of a share of the windows."""
+        if not followed:
+            return []
         best = max(followed, key=lambda one: one.log)
         kappa = share * max(best.fitted.kappa if best.fitted else 1.0, 1.0) * self._wider**2
         for one in followed:
@@ -308,8 +310,8 @@ class Search:
         least = max(KINDS[place[0]].least, self.found.deviation[place])
         return abs(self.found.change[place]) < least
 
-    def _matters(self, one: Candidate) -> bool:
-        return abs(one.change[one.place]) >= KINDS[one.place[0]].least
+    def _matters(self, one: Candidate, part: float = 1.0) -> bool:
+        return abs(one.change[one.place]) >= part * KINDS[one.place[0]].least
 
     def _error(self, answers: Float64, begins: Float64 | None = None) -> float:
         left = self._windows.left(answers, begins)
@@ -330,7 +332,7 @@ class Search:
     def _followed(self, at: dict[Place, float], now: Float64) -> list[Candidate]:
         """Return the candidates beside what was found, the most probable first, by few windows."""
         few = self._few
-        log = few.likelihood.log(few.left(now))
+        log = few.level(at)  # that of no change is rough, and would hide small ones
         places = self._best_alone(now, [place for place in self._places if place not in at])
         kinds = [kind for kind, _ in places]
         places = [p for i, p in enumerate(places) if kinds[:i].count(p[0]) < OF_A_KIND][:FOLLOWED]
@@ -345,6 +347,7 @@ class Search:
             best_log = max(one.log for one in candidates)
             moving = [one for one in moving if self._fit(one) and self._hopes(one, log, best_log)]
             moving = self._step(moving, parts)
+        candidates = [one for one in candidates if self._matters(one, HALF)]
         for one in candidates:
             self._fit(one)
         return self._judged(candidates, log, float(self._some.mean()))
@@ -390,8 +393,8 @@ class Search:
             if log > one.log:
                 one.change, one.log, (one.answers, one.begins) = change, log, found
                 moved = [*(each for each in moved if each is not one), one]
-        further = [one.change | {one.place: one.change[one.place] + KINDS[one.place[0]].step}
+        further = [one.change | {one.place: one.change[one.place] + step_of(one.place)}
                    for one in moved]  # fmt: skip
         for one, beside in zip(moved, self._few.run(further, [e.begins for e in moved])):
-            one.slope = (beside - one.answers) / KINDS[one.place[0]].step
+            one.slope = (beside - one.answers) / step_of(one.place)
         return moved

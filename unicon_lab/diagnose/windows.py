@@ -31,7 +31,7 @@ import numpy as np
 
 from unicon_base.arrays import Bool, Float64
 from unicon_lab.diagnose.motion import Motion
-from unicon_lab.diagnose.plant import KINDS, Change, Place
+from unicon_lab.diagnose.plant import KINDS, Change, Place, step_of
 from unicon_lab.diagnose.replays import Part, Run, RunOfAll
 
 SHAPES = 4
@@ -275,9 +275,9 @@ class Settled:
         now, begins = self.best_of([at])[0]
         log, part, turn, better = self.likelihood.log(self.left(now, begins)), 1.0, 0, True
         while better:
-            beside = [at | {place: size + KINDS[place[0]].step} for place, size in at.items()]
+            beside = [at | {place: size + step_of(place)} for place, size in at.items()]
             moved = self.run(beside, [begins] * len(at))
-            slopes = np.stack([(e - now) / KINDS[k].step for e, (k, _) in zip(moved, at)], axis=-1)
+            slopes = np.stack([(e - now) / step_of(place) for e, place in zip(moved, at)], axis=-1)
             fitted = self.likelihood.fit(self.left(now, begins), slopes, usual)
             better, near = False, 0.2 * np.sqrt(np.diag(fitted.spread))
             while not better and turn < REFINED:
