@@ -6,6 +6,8 @@ import gc
 import os
 import shutil
 import signal
+import subprocess
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -49,6 +51,13 @@ if (ASSETS := ROOT.parent / "shared" / "assets").is_dir():
     os.environ.setdefault("UNICON_ASSETS", str(ASSETS))
 os.environ.setdefault("UNICON_TURNS", LOG_DIR)  # workers have that of who starts them
 SMOKE = os.environ.get("UNICON_TESTS") == "smoke"
+PROBE = """\
+import os
+os.environ.setdefault("MUJOCO_GL", "egl")
+import mujoco
+mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 8, 8).render()
+os._exit(0)
+"""
 
 
 def pytest_ignore_collect(collection_path: Path) -> bool | None:
@@ -154,8 +163,19 @@ def under_colcon(request: pytest.FixtureRequest) -> bool:
 
 
 @pytest.fixture(scope="session")
-def at_hand() -> Callable[[str], None]:
-    """Skip where an asset that a shipped workflow or its robot names, or torch, is absent."""
+def gl() -> None:
+    """Skips where this machine cannot render offscreen."""
+    done = subprocess.run(
+        [sys.executable, "-c", PROBE], capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        last = (done.stderr.strip().splitlines() or ["no reason told"])[-1]
+        pytest.skip(f"no offscreen OpenGL ({last}): apt install libegl1 libgl1-mesa-dri")
+
+
+@pytest.fixture(scope="session")
+def at_hand(request: pytest.FixtureRequest) -> Callable[[str], None]:
+    """Skip where what a shipped workflow needs is absent: an asset, torch, OpenGL of cameras."""
 
     from unicon_core.workflow import load_document
     from unicon_ros.cli.assets import references
@@ -170,6 +190,8 @@ def at_hand() -> Callable[[str], None]:
         needs_torch = "unicon_ros[torch]" in document.path.read_text("utf-8")
         if needs_torch and find_spec("torch") is None:
             pytest.skip("TorchScript: pip install 'unicon_ros[torch]'")
+        if "- camera: " in document.path.read_text("utf-8"):
+            request.getfixturevalue("gl")
 
     return ask
 

@@ -1,4 +1,4 @@
-"""Offscreen OpenGL, and plain subscribers to what cameras publish."""
+"""Plain subscribers to what cameras publish."""
 
 from __future__ import annotations
 
@@ -13,24 +13,6 @@ import pytest
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
-PROBE = """\
-import os
-os.environ.setdefault("MUJOCO_GL", "egl")
-import mujoco
-mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 8, 8).render()
-os._exit(0)
-"""
-
-
-@pytest.fixture(scope="session")
-def gl() -> None:
-    """Skips where this machine cannot render offscreen."""
-    done = subprocess.run(
-        [sys.executable, "-c", PROBE], capture_output=True, text=True, check=False
-    )
-    if done.returncode:
-        last = (done.stderr.strip().splitlines() or ["no reason told"])[-1]
-        pytest.skip(f"no offscreen OpenGL ({last}): apt install libegl1 libgl1-mesa-dri")
 
 
 @pytest.fixture
