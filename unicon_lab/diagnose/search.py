@@ -184,14 +184,15 @@ class Search:
             followed = self._followed(at, now[self._some])
             if not followed or followed[0].odds < CLEAR - HOPELESS:
                 break
-            rivals, others = self._rivals(followed, now[self._some])
-            seemed, level = followed[0].odds, self._windows.level(at)
+            rivals, others = self._rivals(followed)
+            leader, seemed = followed[0], followed[0].odds
             for one in rivals:
                 refined = self._windows.refined(one.change)
                 one.change, one.answers, one.begins, one.fitted, one.log = refined
+            followed = self._judged(rivals, self._windows.level(at))
             for one in others:  # they stay behind the first one
-                one.odds += followed[0].odds - seemed
-            followed = self._judged(rivals, level) + others
+                one.odds += leader.odds - seemed
+            followed += others
             if followed[0].odds < CLEAR or not self._matters(followed[0]):
                 break
             best = followed[0]
@@ -256,16 +257,13 @@ class Search:
         slopes = np.stack([self._slopes[place] for place in places], axis=-1)
         return self._few.likelihood.fit(self._left, slopes, usual)
 
-    def _rivals(
-        self, followed: Sequence[Candidate], now: Float64
-    ) -> tuple[list[Candidate], list[Candidate]]:
+    def _rivals(self, followed: Sequence[Candidate]) -> tuple[list[Candidate], list[Candidate]]:
         """Return the best candidate with those that come near it, and all others.
 
         Contacts hide which is right.
         """
-        log = self._few.likelihood.log(self._few.left(now))
-        near = NEAR * (followed[0].log - log)
-        rivals = [one for one in followed[:RIVALS] if one.log - log >= near]
+        near = NEAR * (followed[0].log - self._few_level)
+        rivals = [one for one in followed[:RIVALS] if one.log - self._few_level >= near]
         return rivals, [one for one in followed if one not in rivals]
 
     def _judged(
@@ -332,7 +330,8 @@ class Search:
     def _followed(self, at: dict[Place, float], now: Float64) -> list[Candidate]:
         """Return the candidates beside what was found, the most probable first, by few windows."""
         few = self._few
-        log = few.level(at)  # that of no change is rough, and would hide small ones
+        # That of no change is rough, and would hide small ones.
+        log = self._few_level = few.level(at)
         places = self._best_alone(now, [place for place in self._places if place not in at])
         kinds = [kind for kind, _ in places]
         places = [p for i, p in enumerate(places) if kinds[:i].count(p[0]) < OF_A_KIND][:FOLLOWED]
