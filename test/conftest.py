@@ -165,6 +165,7 @@ def under_colcon(request: pytest.FixtureRequest) -> bool:
 @pytest.fixture(scope="session")
 def gl() -> None:
     """Skips where this machine cannot render offscreen."""
+    pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'")
     done = subprocess.run(
         [sys.executable, "-c", PROBE], capture_output=True, text=True, check=False
     )
@@ -187,10 +188,10 @@ def at_hand(request: pytest.FixtureRequest) -> Callable[[str], None]:
                 find_resource(reference, "asset")
             except UniconError as error:
                 pytest.skip(str(error))
-        needs_torch = "unicon_ros[torch]" in document.path.read_text("utf-8")
-        if needs_torch and find_spec("torch") is None:
+        text = document.path.read_text("utf-8")
+        if "unicon_ros[torch]" in text and find_spec("torch") is None:
             pytest.skip("TorchScript: pip install 'unicon_ros[torch]'")
-        if "- camera: " in document.path.read_text("utf-8"):
+        if "- camera: " in text:
             request.getfixturevalue("gl")
 
     return ask

@@ -16,6 +16,7 @@ from motions import motion, states_of
 
 from unicon_base.arrays import Float64
 from unicon_base.errors import UniconError
+from unicon_core.models.frames import multiply
 from unicon_core.platforms.kit.base import rotation
 from unicon_core.platforms.kit.disturbances import PLACE
 from unicon_core.platforms.kit.scene import Scene
@@ -204,9 +205,7 @@ def test_a_gyroscope_reads_in_the_axes_of_its_mount() -> None:
     states, period = states_of("go2_walk", {}, seconds=13.0)
     half, every = 0.15, np.arange(len(states["tick"])) > 500  # it walks a bend
     turn = np.array([np.cos(half), np.sin(half), 0.0, 0.0])
-    w, x, y, z = states["base_quat"].T
-    a, b = turn[:2]
-    turned = np.stack([a * w - b * x, a * x + b * w, a * y + b * z, a * z - b * y], axis=1)
+    turned = np.stack(multiply(states["base_quat"].T, turn), axis=1)
     its = states | {"base_quat": turned, "base_ang_vel": states["base_ang_vel"] @ rotation(turn)}
 
     def error(states: dict[str, Any], change: Change) -> float:

@@ -18,7 +18,7 @@ from unicon_core.robots import load_robot
 from unicon_ros.bridge.robot_frames import MARKED, ContactArrows, Feet
 
 mujoco = pytest.importorskip(
-    "mujoco", reason="contacts are MuJoCo's: pip install 'unicon_ros[sim]'"
+    "mujoco", reason="mujoco is not installed: pip install 'unicon_ros[sim]'"
 )
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(90)]
 ROOT = Path(__file__).resolve().parents[2]
