@@ -131,8 +131,12 @@ def data_files() -> list[tuple[str, list[str]]]:
     return [marker, *sorted(share.items())]
 
 
+BESIDE = (".cpp", ".h", ".html", ".js", ".json", ".msg", ".txt", ".yaml", "py.typed")
+"""Endings of files beside the code."""
+
+
 def package_data() -> dict[str, list[str]]:
-    """Return the files beside the code: type markers, message definitions, the runtime in C.
+    """Return the files beside the code: type markers, tables, messages, the runtime in C.
 
     Spelled out file by file, since setuptools before 62.3 (Ubuntu 22.04 has 59.6) knows no `**`.
     """
@@ -140,7 +144,7 @@ def package_data() -> dict[str, list[str]]:
         package: [
             Path(path).relative_to(package).as_posix()
             for path in files_below(package)
-            if path.endswith((".cpp", ".h", ".html", ".js", ".json", ".msg", ".txt", "py.typed"))
+            if path.endswith(BESIDE)
         ]
         for package in ROOMS
     }

@@ -13,8 +13,8 @@ import pytest
 from unicon_core.check import CheckResult, check_workflow
 from unicon_core.check.graph import check_parts
 from unicon_core.check.observation import check_clock
-from unicon_core.check.result import PolicyResult, markdown
-from unicon_core.check.rules import CODES, FIRM, LIVE, RULES
+from unicon_core.check.result import PolicyResult
+from unicon_core.check.rules import CODES, FIRM, LIVE, RULES, markdown
 from unicon_core.platforms.fake import FakePlatform
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.platform import Facts

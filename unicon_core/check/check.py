@@ -262,19 +262,6 @@ def check_section(document: WorkflowDocument, result: CheckResult) -> AnyDict:
     return settings
 
 
-TOLD = {
-    "safety.none": "commands are sent as they are, also those that are not finite or beyond the "
-    "limits of a joint",
-    "safety.less": "",
-    "safety.remote": "",
-    "joints.welded": "",
-    "model.meshes": "",
-    "reach.apart": "",
-    "start.gates": "the robot is moved whatever it tells of itself",
-}
-"""Notes that every start tells, and what each means where its evidence does not say it."""
-
-
 def refuse_errors(program: Program, force: Iterable[str] = ()) -> list[str]:
     """Check a workflow that was built to run; a simulator is left as it was.
 
@@ -319,5 +306,6 @@ def refuse_errors(program: Program, force: Iterable[str] = ()) -> list[str]:
     told += [f"accepted by the workflow: {found}" for found in result.waived]
     decided = dict.fromkeys(found.code for found in [*result.findings, *result.waived])
     program.forced = tuple(decided)
-    notes = [note for note in result.notes if note.code in TOLD]
-    return told + [f"{note.culprit}: {TOLD[note.code] or note.evidence}" for note in notes]
+    notes = [(note, CODES[note.code].at_start) for note in result.notes]
+    told += [f"{note.culprit}: {text or note.evidence}" for note, text in notes if text is not None]
+    return told

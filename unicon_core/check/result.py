@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from unicon_base import AnyDict, UniconError, alternatives
 from unicon_base.arrays import Bool
-from unicon_core.check.rules import CODES, FIRM, RULES
+from unicon_core.check.rules import CODES, FIRM
 from unicon_core.page import write_json
 from unicon_core.text_table import WIDTH, aligned, near, wrapped
 
@@ -254,26 +254,3 @@ class PolicyResult:
 def first(wrong: Bool, text: Callable[[int], str]) -> str:
     """Return what is wrong with the first of several joints, and how many they are; "" for none."""
     return f"{text(int(wrong.argmax()))} ({wrong.sum()} joints)" if wrong.any() else ""
-
-
-def markdown() -> str:
-    """Return all rules as the page docs/reference/rules.md."""
-    lines = [_PAGE]
-    for rule in RULES:
-        cells = (f"`{rule.code}`", rule.kind, rule.needs, rule.what, rule.why, rule.remedy)
-        lines.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |")
-    return "\n".join(lines) + "\n"
-
-
-_PAGE = """\
-# Rules
-
-What `unicon check` looks at; `unicon run` refuses by the same errors, the twin's aside. \
-Gates and `unicon preflight` look at *live* data. \
-`unicon explain CODE` prints one. Generated: `unicon explain --markdown`.
-
-A workflow accepts a finding with `check: {accept: [CODE]}`, a run with `--force CODE`; \
-those marked *firm* cannot be accepted.
-
-| code | kind | looks at | what | why | remedy |
-| --- | --- | --- | --- | --- | --- |"""

@@ -78,8 +78,7 @@ def check(arguments: argparse.Namespace) -> int:
 
 def explain(arguments: argparse.Namespace) -> int:
     """Run the command."""
-    from unicon_core.check.result import markdown
-    from unicon_core.check.rules import CODES
+    from unicon_core.check.rules import CODES, markdown
 
     if arguments.markdown:
         print(markdown(), end="")
