@@ -237,7 +237,6 @@ class Keyboard:
         self._left = [0] * (4 + len(BUTTONS))
         self._give_back: Callable[[], object] | None = None
         self._open = not context.dry
-        self._told = False
 
     def __call__(self) -> None:
         if not self._open or not self._context.driving() or not self._entered():
@@ -267,19 +266,15 @@ class Keyboard:
         elif key == "?":
             self._context.tell(HELP)
         elif key == " ":
-            controls.sticks[...] = 0.0
-            controls.buttons[...] = 0
+            self.reset()
 
     def _decay(self) -> None:
         for place, left in enumerate(self._left):
-            if not left:
-                continue
-            self._left[place] = left - 1
-            if left == 1:
-                if place < 4:
-                    self._controls.sticks[place] = 0.0
-                else:
-                    self._controls.buttons[place - 4] = 0
+            if left == 1 and place < 4:
+                self._controls.sticks[place] = 0.0
+            elif left == 1:
+                self._controls.buttons[place - 4] = 0
+            self._left[place] = max(left - 1, 0)
 
     def _entered(self) -> bool:
         """Take the terminal, once; Ctrl-C stays a signal."""
