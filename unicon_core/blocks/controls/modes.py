@@ -54,7 +54,6 @@ class ModeEntry:
 
     Attributes:
         mode: its name.
-        place: of its button; -1 where it has none.
         button: its name, or "".
         sources: modes from which it is entered; empty for any.
         after: ticks that the mode before must have had.
@@ -64,7 +63,6 @@ class ModeEntry:
     """
 
     mode: str
-    place: int
     button: str
     sources: tuple[str, ...]
     after: int
@@ -155,7 +153,6 @@ def way_of(
             )
     return ModeEntry(
         name,
-        BUTTONS.index(button) if button else -1,
         button or "",
         tuple(sources or ()),
         ticks_of(after, period) if after else 0,
@@ -201,7 +198,8 @@ class Modes:
         return self._now
 
     def _press(self, pressed: Bool) -> None:
-        wished = [way for way in self._ways if way.place >= 0 and pressed[way.place]]
+        names = {BUTTONS[place] for place in np.flatnonzero(pressed)}
+        wished = [way for way in self._ways if way.button in names]
         here = [way for way in wished if not way.sources or self._now in way.sources]
         for way in here or wished[:1]:
             if way.mode == self._now:
