@@ -115,7 +115,6 @@ class Entry(Counting):
         self._pairs = [(states[name], held) for name, held in zip(COMMAND_STATES, self._held)]
         self._last = last
         self._ticks = ticks
-        self._tick = 0
         self._measured = states["joint_pos"]
 
     def __call__(self) -> None:
@@ -167,7 +166,6 @@ class BlendIn(Counting):
         self._sent = context.sent
         self._live = live
         self._ticks = ticks_of(duration, context.period)
-        self._tick = 0
         self._held, self._own, self._mixed = ([array.copy() for array in live] for _ in range(3))
         names = ("joint_pos_target", "joint_stiffness", "joint_damping")
         last = self._sent
@@ -220,7 +218,6 @@ class FadeIn(Counting):
     ) -> None:
         faded = (joint_stiffness, joint_vel_target, joint_effort_ff)
         self._ticks = ticks_of(duration, period)
-        self._tick = 0
         # What is there, what it was whole, and what was left of it in the tick before.
         self._whole = [live.copy() for live in faded]
         self._left = [np.full_like(live, np.nan) for live in faded]

@@ -226,7 +226,7 @@ class ForwardCommand:
         )
         stiffness, damping = self.gains
         command.joint_stiffness[at], command.joint_damping[at] = stiffness[at], damping[at]
-        return self._ends is not None and self.ticks >= self._ends
+        return self.ticks >= self._ends
 
     def _head_home(self, home: Float32, step: Float32) -> None:
         """Let robots of which nothing is commanded want to be home, slowly."""

@@ -119,6 +119,7 @@ class Counting:
     """Base of blocks that count their ticks from 1 on since their flow entered them."""
 
     memory: tuple[str, ...] = ("_tick",)
+    _tick = 0
 
     def reset(self) -> None:
         """Begin anew with the next tick."""
@@ -130,9 +131,13 @@ def ticks_of(seconds: float, period: float) -> int:
     return max(round(seconds / period), 1)
 
 
-def end_of(duration: float | None, period: float) -> int | None:
-    """Return a duration as a number of ticks, at least 1; None for no end."""
-    return None if duration is None else ticks_of(duration, period)
+NEVER = (1 << 63) - 1
+"""A number of ticks that is never reached."""
+
+
+def end_of(duration: float | None, period: float) -> int:
+    """Return a duration as a number of ticks, at least 1; `NEVER` for None."""
+    return NEVER if duration is None else ticks_of(duration, period)
 
 
 def single(view: Array) -> None:
@@ -193,7 +198,6 @@ class Pose(Counting):
         states = (command.joint_stiffness, command.joint_damping)
         self._first = [out.copy() for out in states]
         self._fades = list(zip(states, self._first, gains))
-        self._tick = 0
 
     def __call__(self) -> bool:
         command = self._command
@@ -254,7 +258,6 @@ class Hold(Counting):
         self.endless = duration is None
         self.gains = None if keep_gains else robot_gains(robot, "hold")
         self._held = np.zeros_like(command.joint_pos_target)
-        self._tick = 0
 
     def __call__(self) -> bool:
         command = self._command
@@ -266,7 +269,7 @@ class Hold(Counting):
         command.joint_effort_ff[...] = 0.0
         if self.gains is not None:
             command.joint_stiffness[...], command.joint_damping[...] = self.gains
-        return self._ticks is not None and self._tick >= self._ticks
+        return self._tick >= self._ticks
 
 
 class Damp(Counting):
@@ -294,7 +297,6 @@ class Damp(Counting):
             else np.full(robot.num_joints, damping, np.float32)
         )
         self.endless = duration is None
-        self._tick = 0
 
     def __call__(self) -> bool:
         command = self._command
@@ -304,7 +306,7 @@ class Damp(Counting):
         command.joint_stiffness[...] = 0.0
         command.joint_damping[...] = self._gain
         self._tick += 1
-        return self._ticks is not None and self._tick >= self._ticks
+        return self._tick >= self._ticks
 
 
 OTHERS = "give gains of its joints, or run h1_stand, which names none"
@@ -357,7 +359,6 @@ class Sway(Counting):
         self._lower, self._upper = robot.limits()
         self.gains = robot_gains(robot, "sway")
         self._ticks = end_of(duration, period)
-        self._tick = 0
         self.endless = duration is None
         self._filtered, self._wanted, self._moved = (
             np.zeros_like(command.joint_pos_target) for _ in range(3)
@@ -388,4 +389,4 @@ class Sway(Counting):
         command.joint_vel_target[...] = 0.0
         command.joint_effort_ff[...] = 0.0
         command.joint_stiffness[...], command.joint_damping[...] = self.gains
-        return self._ticks is not None and self._tick >= self._ticks
+        return self._tick >= self._ticks

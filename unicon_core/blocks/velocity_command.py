@@ -93,7 +93,7 @@ class VelocityCommand:
             np.clip(self._change, -self._step, self._step, out=self._change)
             self._out += self._change
         self._tick += 1
-        return self._ticks is not None and self._tick >= self._ticks
+        return self._tick >= self._ticks
 
     def reset(self) -> None:
         """Begin the schedule anew."""

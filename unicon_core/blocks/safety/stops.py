@@ -18,7 +18,7 @@ from unicon_base.errors import EmergencyStopPressed, Fault, Silence, WorkflowErr
 from unicon_base.schema.marks import NotEmpty, Unit, Within, Write, positive
 from unicon_core.blocks.controls.device import declares_controls
 from unicon_core.blocks.postures import Commands, Counting, end_of, ticks_of
-from unicon_core.blocks.safety.limits import known_velocity_limits
+from unicon_core.blocks.safety.limits import first_of, known_velocity_limits
 from unicon_core.blocks.safety.ranges import RangeStop
 from unicon_core.bounds import (
     BUTTONS,
@@ -46,7 +46,6 @@ class Elapsed(Counting):
 
     def __init__(self, *, period: float, seconds: Seconds) -> None:
         self._ticks = ticks_of(seconds, period)
-        self._tick = 0
 
     def __call__(self) -> bool:
         self._tick += 1
@@ -242,20 +241,17 @@ class VelocityStop:
             bound = limits * np.float32(factor)
         self._vel = joint_vel
         self._bound = bound
-        self._names = robot.joint_names
+        self._robot = robot
         self.ranges = [Range(joint_vel, -bound, bound)]
         self._screen = Screen(states, self.ranges)
 
     def __call__(self) -> None:
         if not self._screen():
-            worst = np.argmax(np.nan_to_num(np.abs(self._vel) / self._bound, nan=np.inf))
-            index = tuple(int(i) for i in np.unravel_index(worst, self._vel.shape))
-            joint = self._names[index[-1]]
-            allowed = self._bound[index[-1]]
-            who = f"robot {index[0]}, " if len(index) > 1 else ""
+            excess = np.nan_to_num(np.abs(self._vel) / self._bound, nan=np.inf)
+            index, who = first_of(excess == excess.max(), self._robot)
             raise Fault(
-                f"{who}joint {joint} moves at {self._vel[index]:.2f} rad/s, "
-                f"allowed are {allowed:.2f}"
+                f"{who} moves at {self._vel[index]:.2f} rad/s, "
+                f"allowed are {self._bound[index[-1]]:.2f}"
             )
 
 
@@ -338,7 +334,7 @@ class ButtonStop:
             if self._buttons[place]:
                 raise Fault(f"the operator pressed {name}")
         self._silent = 0 if self._alive else self._silent + 1
-        if self._lost is not None and self._silent > self._lost:
+        if self._silent > self._lost:
             raise Fault(
                 f"the operator's device was not heard for {self._silent} ticks; more than "
                 f"{self._lost} are a fault (button_stop)"
