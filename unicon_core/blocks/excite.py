@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -89,12 +89,11 @@ class Excite(Counting):
         self._ticks = ticks_of(duration, period)
         self._fade = ticks_of(fade, period)
         self.gains = robot_gains(robot, "excite", stiffness_scale, damping_scale)
-        self._wave = _Wave(signal, sweep, self._ticks, period, seed, robot.num_joints)
+        self._wave = _wave(signal, sweep, self._ticks, period, (seed, robot.num_joints))
         self._command = command
         self._approach = self._fade
         self._ticks_per_rad = 0.5 * math.pi / (POSE_SPEED * period)
         self._start, self._way = (np.zeros_like(command.joint_pos_target) for _ in range(2))
-        self._tick = 0
 
     def __call__(self) -> bool:
         command = self._command
@@ -126,7 +125,7 @@ def _sweep(signal: str, frequency: float | Sequence[float], period: float) -> tu
     """Return the first and the last frequency in [Hz]."""
     several = isinstance(frequency, Sequence)
     given: Sequence[float] = frequency if isinstance(frequency, Sequence) else [frequency]
-    if (signal == "chirp" and several and len(given) != 2) or (signal != "chirp" and several):
+    if several and (signal != "chirp" or len(given) != 2):
         wanted = "one, or [first, last]" if signal == "chirp" else "one"
         raise WorkflowError(f"frequency of a {signal} is {frequency!r}; give {wanted} in [Hz]")
     highest = min(FREQUENCY, 0.25 / period)  # four ticks show a wave
@@ -171,33 +170,33 @@ def _check(robot: Robot, signal: str, centre: Float32, sizes: Float32, frequency
             )
 
 
-class _Wave:
-    """A signal of amplitude 1: call it with a tick of the signal, get a number or one per joint."""
+def _wave(
+    signal: str, sweep: tuple[float, float], ticks: int, period: float, drawn: tuple[int, int]
+) -> Callable[[int], Any]:
+    """Return a signal of amplitude 1: of a tick of the signal a number, or one per joint.
 
-    def __init__(
-        self,
-        signal: str,
-        sweep: tuple[float, float],
-        ticks: int,
-        period: float,
-        seed: int,
-        count: int,
-    ) -> None:
-        self._period = period
-        self._first = sweep[0]
-        self._half_slope = 0.5 * (sweep[1] - sweep[0]) / (ticks * period)
-        self._seed = seed
-        self._count = count
-        self._shape = _SIGNALS[signal][1] or self._random
+    Args:
+        signal: one of `Signal`.
+        sweep: the first and the last frequency in [Hz].
+        ticks: of the signal.
+        period: of a tick in [s].
+        drawn: seed, and number of joints, of `random`.
+    """
+    first, last = sweep
+    half_slope = 0.5 * (last - first) / (ticks * period)
+    shape = _SIGNALS[signal][1] or partial(_random, *drawn)
 
-    def __call__(self, tick: int) -> Any:
-        time = tick * self._period
-        return self._shape(time * (self._first + self._half_slope * time))
+    def wave(tick: int) -> Any:
+        time = tick * period
+        return shape(time * (first + half_slope * time))
 
-    def _random(self, cycles: float) -> Float64:
-        knot = math.floor(cycles)
-        before, after = (_drawn(self._seed, k, self._count) for k in (knot, knot + 1))
-        return before + _eased(cycles - knot) * (after - before)
+    return wave
+
+
+def _random(seed: int, count: int, cycles: float) -> Float64:
+    knot = math.floor(cycles)
+    before, after = (_drawn(seed, k, count) for k in (knot, knot + 1))
+    return before + _eased(cycles - knot) * (after - before)
 
 
 def _sine(cycles: float) -> float:
