@@ -2,9 +2,9 @@
 
     commands: [gamepad, {drive: {speed: [1.0, 0.5, 1.0], hold: L1}}]
 
-Which code is which button depends on the pad, see `Pad`. Events are `struct input_event` of a
+Which code is which button depends on the pad: pads.yaml. Events are `struct input_event` of a
 device or of a pipe: two int64 of time, uint16 type and code, int32 value (Linux,
-include/uapi/linux/input.h and input-event-codes.h, which say the codes too).
+include/uapi/linux/input.h).
 
 Buttons are named by place, as on a Unitree remote: A below, B right, X left, Y above. The same code
 stands for other places on other pads. Sources: the kernel's drivers (xpad.c, hid-playstation.c,
@@ -25,7 +25,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from unicon_base.errors import WorkflowError
+from unicon_base import AnyDict, WorkflowError
+from unicon_base.located_yaml import read_yaml
 from unicon_core.blocks.controls.device import Controls, declares_controls, device_block
 from unicon_core.bounds import BUTTONS
 from unicon_core.flow import Block
@@ -33,50 +34,12 @@ from unicon_core.workflow.autowire import BuildContext
 
 INPUT = Path("/dev/input")
 
-# BTN_TL … BTN_THUMBR and BTN_DPAD_*; F1 and F2 are the sticks pressed.
-_OTHERS = {
-    0x136: "L1",
-    0x137: "R1",
-    0x138: "L2",
-    0x139: "R2",
-    0x13A: "select",
-    0x13B: "start",
-    0x13D: "F1",
-    0x13E: "F2",
-    0x220: "up",
-    0x221: "down",
-    0x222: "left",
-    0x223: "right",
-}
-# BTN_SOUTH, BTN_EAST, BTN_NORTH, BTN_WEST; xpad has X where others have what is above.
-_FACES = {
-    "xbox": {0x130: "A", 0x131: "B", 0x133: "X", 0x134: "Y"},
-    "playstation": {0x130: "A", 0x131: "B", 0x134: "X", 0x133: "Y"},
-    "nintendo": {0x130: "A", 0x131: "B", 0x134: "X", 0x133: "Y"},
-    "8bitdo": {0x131: "A", 0x130: "B", 0x134: "X", 0x133: "Y"},
-}
-# BTN_TRIGGER … BTN_BASE6, in the order of Logitech's pads.
-_GENERIC = dict(enumerate(("X", "A", "B", "Y", "L1", "R1", "L2", "R2"), 0x120)) | {
-    0x128: "select",
-    0x129: "start",
-    0x12A: "F1",
-    0x12B: "F2",
-}
 Mapped = Literal["auto", "xbox", "playstation", "nintendo", "8bitdo", "generic"]
 """Kinds of pads; `auto` goes by what the device is."""
 
-# ABS_X, ABS_Y: element of `sticks` and sign; down is positive there.
-_LEFT = {0x00: (0, 1.0), 0x01: (1, -1.0)}
-# ABS_RX, ABS_RY; without these ABS_Z, ABS_RZ.
-_RIGHT = {0x03: (2, 1.0), 0x04: (3, -1.0)}, {0x02: (2, 1.0), 0x05: (3, -1.0)}
-# ABS_Z, ABS_RZ; where these are a stick ABS_BRAKE, ABS_GAS. Pressed from the middle on.
-_TRIGGERS = {0x02: "L2", 0x05: "R2"}, {0x0A: "L2", 0x09: "R2"}
-HATS = {0x10: ("left", "right"), 0x11: ("up", "down")}
+_CODES: AnyDict = read_yaml(Path(__file__).with_name("pads.yaml")).value
+HATS: dict[int, tuple[str, str]] = _CODES["hats"]
 """ABS_HAT0X, ABS_HAT0Y."""
-
-_VENDORS = {0x054C: "playstation", 0x057E: "nintendo", 0x2DC8: "8bitdo"}
-# 8BitDo's that have A below, as an Xbox pad; the others have it to the right.
-_ULTIMATE = (0x3012, 0x3015, 0x3016, 0x301B, 0x301D, 0x3100)
 
 
 @dataclass(frozen=True)
@@ -129,15 +92,15 @@ def pad_of(identity: Identity | None, mapping: str = "auto") -> Pad:
         mapping: one of `Mapped`.
     """
     name = mapping if mapping != "auto" else _name(identity)
-    keys = _GENERIC if name == "generic" else _FACES[name]
     plain = name in ("8bitdo", "generic")
     if identity is not None:
         plain = not identity.axes >> 0x03 & 1
-    sticks = {**_LEFT, **_RIGHT[plain]}
-    triggers = _TRIGGERS[plain]
+    keys = _CODES["keys"][name] | _CODES["keys"]["every"]
+    places, triggers = _CODES["left"] | _CODES["right"][plain], _CODES["triggers"][plain]
+    sticks = {code: tuple(place) for code, place in places.items()}
     wide = (-32768, 32767) if name in ("xbox", "nintendo") else (0, 255)
     ranges = dict.fromkeys(sticks, wide) | dict.fromkeys(triggers, (0, 255))
-    return Pad(name, {**keys, **_OTHERS}, sticks, triggers, ranges)
+    return Pad(name, keys, sticks, triggers, ranges)
 
 
 def _name(identity: Identity | None) -> str:
@@ -145,8 +108,8 @@ def _name(identity: Identity | None) -> str:
         return "xbox"
     if not identity.keys >> 0x130 & 1:
         return "generic"
-    name = _VENDORS.get(identity.vendor, "xbox")
-    as_xbox = identity.product in _ULTIMATE or identity.axes >> 0x03 & 1  # by xpad
+    name: str = _CODES["vendors"].get(identity.vendor, "xbox")
+    as_xbox = identity.product in _CODES["ultimate"] or identity.axes >> 0x03 & 1  # by xpad
     return "xbox" if name == "8bitdo" and as_xbox else name
 
 
