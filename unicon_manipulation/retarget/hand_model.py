@@ -19,6 +19,7 @@ from unicon_core.models.frames import body_of
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, body_in, dofs_above, import_mujoco
 from unicon_core.models.posed import followers
+from unicon_core.platforms.kit.base import rotation_of
 from unicon_core.robots import Robot
 from unicon_core.robots.robot import Hand
 
@@ -314,7 +315,7 @@ class HumanHand:
             and 0.8 < norm < 1.2
         ):
             return self._wrong(sizes, norm)
-        turn = _matrix(w, x, y, z, norm)
+        turn = np.array(rotation_of(w, x, y, z, norm)).reshape(3, 3)
         wide = float((self._points[_INDEX] - self._points[_PINKY]) @ turn[:, 1])
         if self._side and (wide < -WIDE if self._side == "right" else wide > WIDE):
             return f"it is not a {self._side} hand"
@@ -342,15 +343,3 @@ class HumanHand:
         off = np.maximum(FINGER[0] - self.lengths, self.lengths - FINGER[1])
         finger = off.argmax()
         return f"the length of the {self._fingers[finger]} is {self.lengths[finger]:.3g} m"
-
-
-def _matrix(w: float, x: float, y: float, z: float, norm: float) -> Float64:
-    """Return the rotation of a quaternion wxyz whose length's square is `norm`, shape (3, 3)."""
-    s = 2.0 / norm
-    return np.array(
-        (
-            (1.0 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)),
-            (s * (x * y + w * z), 1.0 - s * (x * x + z * z), s * (y * z - w * x)),
-            (s * (x * z - w * y), s * (y * z + w * x), 1.0 - s * (x * x + y * y)),
-        )
-    )

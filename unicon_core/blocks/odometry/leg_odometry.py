@@ -17,6 +17,7 @@ from unicon_core.blocks.odometry.velocity_filter import VelocityFilter
 from unicon_core.blocks.postures import single
 from unicon_core.flow.block import Reads, Writes
 from unicon_core.models.feet import GRAVITY, Feet
+from unicon_core.platforms.kit.base import rotation_of
 from unicon_core.robots import Robot
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
@@ -258,9 +259,8 @@ class LegOdometry:
         self._standing.reset()
         self._last: int | None = None
         self._hanging = self._way = 0.0
-        self._rotation = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
-        self._told = [0.0, 0.0, 0.0]
-        self._place = [0.0, 0.0, 0.0]
+        self._rotation: list[float] = np.eye(3).ravel().tolist()
+        self._told, self._place = [0.0] * 3, [0.0] * 3
 
     def again(self) -> None:
         """Tick as if the present data were new, one period later than the last: to warm up."""
@@ -301,12 +301,7 @@ class LegOdometry:
         steady = 0.25 < length < 4.0 and wx * wx + wy * wy + wz * wz < _QUICKEST
         legs = steady and feet(quat, rates, *self._joints, self._effort)
         if steady:
-            s = 2.0 / length
-            self._rotation = [
-                *(1.0 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)),
-                *(s * (x * y + w * z), 1.0 - s * (x * x + z * z), s * (y * z - w * x)),
-                *(s * (x * z - w * y), s * (y * z + w * x), 1.0 - s * (x * x + y * y)),
-            ]
+            self._rotation = [*rotation_of(w, x, y, z, length)]
         else:
             wx = wy = wz = 0.0
         rotation = self._rotation
@@ -332,9 +327,9 @@ class LegOdometry:
         if self._hanging > HANGS:
             motion.rest(dt, rotation)
         u, v, w = motion.velocity
-        u = u - sx
-        v = v - sy
-        w = w - sz
+        u -= sx
+        v -= sy
+        w -= sz
         if not u * u + v * v + w * w < _FASTEST:
             self.reset()
             return

@@ -58,8 +58,7 @@ class VelocityFilter:
 
     def reset(self) -> None:
         """Begin anew, at rest as far as is known."""
-        self.velocity = [0.0, 0.0, 0.0]
-        self.bias = [0.0, 0.0, 0.0]
+        self.velocity, self.bias = [0.0] * 3, [0.0] * 3
         self._last: list[float] | None = None
         self.variance = _UNKNOWN**2
         self._both = 0.0
@@ -116,15 +115,15 @@ class VelocityFilter:
         for (one, two, three), own in zip(told, variances):
             if own == math.inf:
                 continue
-            one = one - vx
-            two = two - vy
-            three = three - vz
+            one -= vx
+            two -= vy
+            three -= vz
             far = (one * one + two * two + three * three) / (_GATE * (variance + own))
             share = 1.0 / own if far <= 1.0 else 1.0 / (own * far * far)
             weight += share
-            x = x + share * one
-            y = y + share * two
-            z = z + share * three
+            x += share * one
+            y += share * two
+            z += share * three
         if weight > 0.0:
             self._take(PERIOD / (dt * weight), x / weight, y / weight, z / weight, rotation)
 
@@ -145,9 +144,9 @@ class VelocityFilter:
         velocity[0] += gain * x
         velocity[1] += gain * y
         velocity[2] += gain * z
-        x = of_bias * x
-        y = of_bias * y
-        z = of_bias * z
+        x *= of_bias
+        y *= of_bias
+        z *= of_bias
         bias[0] = min(max(bias[0] + a * x + d * y + g * z, -most), most)
         bias[1] = min(max(bias[1] + b * x + e * y + h * z, -most), most)
         bias[2] = min(max(bias[2] + c * x + f * y + i * z, -most), most)

@@ -54,6 +54,21 @@ def rotation(quat: Array) -> Float64:
     return (pairs @ _ROTATION).reshape(*q.shape[:-1], 3, 3)
 
 
+def rotation_of(w: float, x: float, y: float, z: float, norm: float) -> tuple[float, ...]:
+    """Return the rotation of a quaternion wxyz as nine numbers, row by row, for ticks: 1 µs.
+
+    Args:
+        w, x, y, z: of any length.
+        norm: square of that length.
+    """
+    s = 2.0 / norm
+    return (
+        1.0 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y),
+        s * (x * y + w * z), 1.0 - s * (x * x + z * z), s * (y * z - w * x),
+        s * (x * z - w * y), s * (y * z + w * x), 1.0 - s * (x * x + y * y),
+    )  # fmt: skip
+
+
 def cross(left: Float64, right: Float64) -> Float64:
     """Return left × right, shapes (..., 3); `np.cross` takes several times as long for few."""
     pairs = left[..., :, None] * right[..., None, :]
