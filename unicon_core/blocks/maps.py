@@ -109,27 +109,23 @@ class BatchGravity:
     memory = ()
 
     def __init__(self, quat: Float32, out: Float32) -> None:
-        self._w, self._x, self._y, self._z = (quat[..., i] for i in range(4))
-        self._parts = tuple(out[..., i] for i in range(3))
+        w, x, y, z = (quat[..., i] for i in range(4))
+        gx, gy, self._gz = (out[..., i] for i in range(3))
+        self._terms = (
+            (gx, (w, y), np.subtract, (x, z), 2.0),
+            (gy, (w, x), np.add, (y, z), -2.0),
+            (self._gz, (x, x), np.add, (y, y), 2.0),
+        )
         self._first, self._second = (np.zeros(quat.shape[:-1], np.float32) for _ in range(2))
 
     def __call__(self) -> None:
-        first = self._first
-        second = self._second
-        (gx, gy, gz), (w, x, y, z) = self._parts, (self._w, self._x, self._y, self._z)
-        np.multiply(w, y, out=first)
-        np.multiply(x, z, out=second)
-        np.subtract(first, second, out=first)
-        np.multiply(first, 2.0, out=gx)
-        np.multiply(w, x, out=first)
-        np.multiply(y, z, out=second)
-        np.add(first, second, out=first)
-        np.multiply(first, -2.0, out=gy)
-        np.multiply(x, x, out=first)
-        np.multiply(y, y, out=second)
-        np.add(first, second, out=first)
-        np.multiply(first, 2.0, out=first)
-        np.subtract(first, 1.0, out=gz)
+        first, second = self._first, self._second
+        for out, one, joined, other, factor in self._terms:
+            np.multiply(*one, out=first)
+            np.multiply(*other, out=second)
+            joined(first, second, out=first)
+            np.multiply(first, factor, out=out)
+        self._gz -= 1.0
 
 
 STATE = "motor_temperature"
@@ -171,14 +167,13 @@ class MotorHeat:
     ) -> None:
         self._servo = Servo(tuple(command), robot.effort_limit)
         self._measured = (joint_pos, joint_vel)
-        temperature = motor_temperature
-        self._temperature = temperature
+        self._temperature = motor_temperature
         self._ambient = ambient
         self._rise = rise
         self._share = -math.expm1(-period / time_constant)
         # In float64: 1e-4 K a tick would vanish in a float32 of 25.
-        self._now = np.full(temperature.shape, ambient)
-        self._goal = np.zeros(temperature.shape)
+        self._now = np.full(motor_temperature.shape, ambient)
+        self._goal = np.zeros(motor_temperature.shape)
 
     @staticmethod
     def declares(*, robot: Robot, ambient: float = AMBIENT, **_: Any) -> Mapping[str, StateSpec]:
