@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -36,7 +37,6 @@ from unicon_core.models.loaded import index_of
 from unicon_core.robots import Robot
 from unicon_core.robots.load import named_pose
 from unicon_core.states import StateSpec
-from unicon_core.states.backends import Reader
 from unicon_core.states.groups import COMMAND, subset
 from unicon_core.states.links import Incoming, Silent, Store, open_reader
 from unicon_core.states.standard import COMMAND_STATES, forwarded_states
@@ -314,10 +314,7 @@ class External(Incoming):
         segment_path(segment)  # a wrong name is an error now
         states, store = context.states, Store("shm", segment)
         groups = {COMMAND: subset(states.layout, COMMAND_STATES)}
-
-        def opened(group: str) -> Reader | None:
-            return open_reader(store, "", "", groups, group, states, timeout)
-
+        opened = partial(open_reader, store, "", "", groups, states=states, late=timeout)
         silent = Silent(timeout, "fault")
         super().__init__(segment, groups, opened, states, silent, context.tell)
         self.heard = True  # so that silence is a fault from the first tick on

@@ -16,14 +16,14 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
 from unicon_base import StateError, TextSink, WorkflowError, alternatives
 from unicon_base.schema.marks import Checked, Matches, Size, Write
 from unicon_core.states import Layout, States
-from unicon_core.states.backends import Reader
-from unicon_core.states.groups import Groups, groups_of, subset
+from unicon_core.states.groups import groups_of, subset
 from unicon_core.states.links import Incoming, Silent, Store, neutral_value, open_reader
 from unicon_core.workflow.document import WorkflowDocument, read_part
 
@@ -178,7 +178,10 @@ class Parts:
                     theirs = [name for name, owner in owners.items() if owner != part.name]
                     raise document.error(
                         f"{state!r} does not come from another part; {alternatives(state, theirs)}",
-                        *("parts", part.name, "silent", "set"),
+                        "parts",
+                        part.name,
+                        "silent",
+                        "set",
                     )
                 try:
                     neutral_value(layout.specs[state], state, part.silent.values)
@@ -202,13 +205,10 @@ class Parts:
             groups = self.groups(part, states.layout)
             silent = self.parts[here].silent
             own = {k: v for k, v in silent.values.items() if k in self.parts[part].publishes}
-
-            def opened(
-                name: str, part: str = part, groups: Groups = groups, late: float = silent.after
-            ) -> Reader | None:
-                return open_reader(self.store, part, here, groups, name, states, late)
-
             if groups:
+                opened = partial(
+                    open_reader, self.store, part, here, groups, states=states, late=silent.after
+                )
                 silent = Silent(silent.after, silent.then, own)
                 arrivals.append(Incoming(part, groups, opened, states, silent, tell))
         if self.store.backend == "zmq":
