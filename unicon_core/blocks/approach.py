@@ -7,10 +7,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Float32
 from unicon_core.blocks.postures import Counting, ticks_of
 from unicon_core.bounds import Seconds
@@ -298,9 +298,9 @@ class Monitor:
         """Let nothing count that comes from here on."""
         self._pos = self._pos.copy()
 
-    def found(self) -> dict[str, Any]:
+    def found(self) -> AnyDict:
         """Return what was seen: fields of a report."""
-        seen: dict[str, Any] = {"sha256_commands": self.sha256, "dry": self._dry}
+        seen: AnyDict = {"sha256_commands": self.sha256, "dry": self._dry}
         if self._fixed:
             return seen | dict.fromkeys(("base_displacement_m", "fell", "tilt_deg"))
         moved = self._pos[0] - self._start[0] if self._started else np.zeros(3)

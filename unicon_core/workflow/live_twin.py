@@ -168,6 +168,10 @@ class LiveTwin:
         self._rows = max(round(settings.over / period), self._window)
         self._shift = min(round(LAG / period), self._rows // 2)
         self._past = np.zeros((2, self._rows, *self._pos.shape))
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past, and begin where the robot is at the next tick."""
         self._kept = self._in_window = 0
         self._alone = True  # it has not been put anywhere yet
 
@@ -207,11 +211,6 @@ class LiveTwin:
             moving = real.T[moved, :, None], twin.T[moved, :, None]
             found = aligned_mse(*moving, max_shift=min(self._shift, count - 1))
             self._lag[moved] = found.shift * self._period
-
-    def reset(self) -> None:
-        """Forget the past, and begin where the robot is at the next tick."""
-        self._kept = self._in_window = 0
-        self._alone = True
 
     def save(self) -> AnyDict:
         """Return what gap, lag and simulation go on from, for a replay."""

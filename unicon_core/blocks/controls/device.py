@@ -87,9 +87,8 @@ _BOOSTER = struct.Struct("<I4f21Bx")
 # The two in between are the sticks, pressed; the cross follows.
 _BOOSTER_BUTTONS = ("A", "B", "X", "Y", "L1", "R1", "L2", "R2", "", "", "select", "start")
 _BOOSTER_CROSS = (
-    *("", "up", "down", "left", "right"),
-    *("up left", "down left", "up right", "down right"),
-)
+    "", "up", "down", "left", "right", "up left", "down left", "up right", "down right"
+)  # fmt: skip
 _BOOSTER_GONE = 0x606
 # Bits 0 to 5 of byte 2.
 _DOBOT_2 = ("RB", "LB", "start", "select", "RT", "LT")

@@ -123,7 +123,7 @@ def check_buttons(ways: Sequence[ModeEntry]) -> None:
 
 
 def _declares(**_: Any) -> Mapping[str, StateSpec]:
-    number = StateSpec((), "int32", "", "", (), "number of the present mode of `modes`")
+    number = StateSpec((), "int32", description="number of the present mode of `modes`")
     return {**declares_controls(), "mode": number}
 
 
@@ -183,10 +183,9 @@ class Modes:
         self._ways = tuple(ways)
         self.buttons_used = tuple(way.button for way in ways if way.button)
         self._period = context.period
-        self._tell: Callable[[str], None] = context.tell
-        self._before = np.ones_like(self._buttons)
-        self._now = self._names[0]
-        self._ticks = 0
+        self._tell = context.tell
+        self._before = np.empty_like(self._buttons)
+        Modes.reset(self)
 
     def __call__(self) -> str:
         pressed = self._buttons > self._before

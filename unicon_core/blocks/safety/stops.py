@@ -272,6 +272,10 @@ class StaleStop:
         self._timeout = timeout
         self.patient = self._ticks >= PATIENT
         self._oldest = stamp_ns.min if stamp_ns.ndim else stamp_ns.item  # `min` takes 1.3 µs
+        self.reset()
+
+    def reset(self) -> None:
+        """Wait anew for data."""
         self._last: int | None = None
         self._same = 0
 
@@ -287,11 +291,6 @@ class StaleStop:
                 f"the robot's data is stale: stamp_ns has been {stamp} for {self._same} ticks "
                 f"(timeout {self._timeout} s); is the link up?"
             )
-
-    def reset(self) -> None:
-        """Wait anew for data."""
-        self._last = None
-        self._same = 0
 
 
 Buttons = Annotated[Sequence[Button], NotEmpty, Write("a list of buttons, such as [select]")]

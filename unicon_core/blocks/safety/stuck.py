@@ -198,20 +198,22 @@ class ImuStop:
         self._motion = motion
         self._angle = angle
         self._stamp = stamp_ns
-        self._at = -1
         self._allowed = 2.0 * math.sin(0.5 * angle)  # chord between two unit vectors
         self._every = max(ticks // 4, 1)  # what is compared without a history needs no haste
-        self._wait = 0
+        self._at = -1
+        self._from_gyro: list[float] = []
+        self._error = [0.0] * 3
+        self._reference = joint_pos.copy()
+        self.reset()
+
+    def reset(self) -> None:
+        """Look anew."""
         self._last_gyro: list[float] = []
         self._last_rest: list[float] = []
         self._last_quat: list[float] = []
-        self._turned = 0.0
         self._from_quat: list[float] = []
-        self._from_gyro: list[float] = []
-        self._error = [0.0, 0.0, 0.0]
-        self._apart = 0.0
-        self._same = 0
-        self._reference = self._joints.copy()
+        self._same = self._wait = 0
+        self._turned = self._apart = 0.0
 
     def __call__(self) -> None:
         """Look.
@@ -255,7 +257,7 @@ class ImuStop:
         self._from_quat = quat
         self._from_gyro = gyro
         if not before or not 0.0 < dt <= self.LONGEST:
-            self._error = [0.0, 0.0, 0.0]
+            self._error = [0.0] * 3
             self._apart = 0.0
             return
         w, x, y, z = quat
@@ -320,12 +322,3 @@ class ImuStop:
                 f"the IMU stands still: the same bits for {self._same} ticks while the joints "
                 f"moved by {moved:.2f} rad; is it there?"
             )
-
-    def reset(self) -> None:
-        """Look anew."""
-        self._last_gyro = []
-        self._last_rest = []
-        self._last_quat = []
-        self._from_quat = []
-        self._same = self._wait = 0
-        self._turned = self._apart = 0.0

@@ -27,7 +27,7 @@ from unicon_core.flow.block import Amends, Reads
 from unicon_core.models.frames import Frames as BodyFrames
 from unicon_core.models.loaded import index_of
 from unicon_core.models.posed import Weight, bearing_joints
-from unicon_core.robots import Robot
+from unicon_core.robots import Robot, joint_index
 from unicon_core.robots.robot import Place
 from unicon_core.states import StateSpec
 from unicon_core.states.layout import check_name
@@ -325,11 +325,11 @@ def _carried(robot: Robot, words: tuple[str, ...], bears: Bool) -> Index:
     ):
         bad = places[wrong[places]]
         if len(bad):
-            free = [name for name, joints in robot.groups.items() if not _any(robot, joints, wrong)]
+            free = [
+                name
+                for name, joints in robot.groups.items()
+                if not wrong[joint_index(joints, robot.joint_names)].any()
+            ]
             others = f", such as {' or '.join(free)}" if free else ""
             raise WorkflowError(f"{robot.joint_names[bad[0]]} {why}; name others in moves{others}")
     return places
-
-
-def _any(robot: Robot, joints: Sequence[str], of: Bool) -> bool:
-    return any(of[robot.joint_names.index(name)] for name in joints)
