@@ -279,7 +279,7 @@ def refuse_errors(program: Program, force: Iterable[str] = ()) -> list[str]:
         WorkflowError: an unknown code.
         CheckError: errors that are not forced; all are named.
     """
-    forced = list(dict.fromkeys(force))
+    forced = dict.fromkeys(force)
     for code in forced:
         if code not in CODES:
             raise WorkflowError(

@@ -185,15 +185,18 @@ def mirror_pairs(names: Sequence[str]) -> list[tuple[str, str]]:
     return pairs
 
 
-def _odd_pairs(what: str, joints: Sequence[str], values: Float32) -> list[tuple[str, str]]:
-    """Return the pairs (left, right) whose values, a part of a contract, differ in size."""
-    sides = dict(zip(joints, map(float, values)))
-    limits = (0.0, POSE_TOLERANCE) if what == "default_joint_pos" else (ROUNDING, 1e-6)
-    return [
-        (left, right)
-        for left, right in mirror_pairs(joints)
-        if not np.isclose(abs(sides[left]), abs(sides[right]), *limits)
-    ]
+def _odd(joints: Sequence[str], figures: Mapping[str, Float32]) -> list[tuple[str, str]]:
+    """Return the pairs (left, right) of which a figure, a part of a contract, differs in size."""
+    pairs = []
+    for what, values in figures.items():
+        sides = dict(zip(joints, map(float, values)))
+        limits = (0.0, POSE_TOLERANCE) if what == "default_joint_pos" else (ROUNDING, 1e-6)
+        pairs += [
+            (left, right)
+            for left, right in mirror_pairs(joints)
+            if not np.isclose(abs(sides[left]), abs(sides[right]), *limits)
+        ]
+    return pairs
 
 
 def check_mirrored(policy: PolicyResult, code: str, what: str) -> None:
@@ -207,7 +210,7 @@ def check_mirrored(policy: PolicyResult, code: str, what: str) -> None:
     contract = policy.contract
     joints = contract.action.joints if what.startswith("action") else contract.joints
     values = attrgetter(what)(contract)
-    odd, sides = _odd_pairs(what, joints, values), dict(zip(joints, map(figure, values)))
+    odd, sides = _odd(joints, {what: values}), dict(zip(joints, map(figure, values)))
     if odd:
         left, right = odd[0]
         more = f" (and {len(odd) - 1} more pairs)" if len(odd) > 1 else ""
@@ -217,9 +220,6 @@ def check_mirrored(policy: PolicyResult, code: str, what: str) -> None:
             f"{left} has {sides[left]} and {right} has {sides[right]}{more}",
             f"bring {what} into the order of joints: {listed(joints, 3)}",
         )
-
-
-Figures = dict[str, Float32]
 
 
 def other_order(depths: Sequence[int]) -> Index:
@@ -256,7 +256,7 @@ def joint_orders(
         "the joint order of the other kind of simulator": [joints[i] for i in other],
         "that order undone": [joints[i] for i in np.argsort(other)],
         "the robot's joint order": limb_by_limb,
-        "a breadth-first joint order": sorted(limb_by_limb, key=lambda name: by_depth[name]),
+        "a breadth-first joint order": sorted(limb_by_limb, key=by_depth.__getitem__),
         "the reversed joint order": list(joints[::-1]),
     }
 
@@ -317,16 +317,11 @@ def _order(robot: Robot, model: LoadedModel, policy: PolicyResult) -> None:
             return
 
 
-def _exchanges(joints: Sequence[str], figures: Figures) -> Iterator[list[str]]:
+def _exchanges(joints: Sequence[str], figures: Mapping[str, Float32]) -> Iterator[list[str]]:
     """Yield the joints with two exchanged, of those that differ between the sides."""
     odd = [name for pair in _odd(joints, figures) for name in pair]
     for a, b in combinations(dict.fromkeys(odd), 2):
         yield [{a: b, b: a}.get(name, name) for name in joints]
-
-
-def _odd(joints: Sequence[str], figures: Figures) -> list[tuple[str, str]]:
-    """Return the pairs (left, right) of which a figure differs."""
-    return [pair for what, each in figures.items() for pair in _odd_pairs(what, joints, each)]
 
 
 def robot_values(robot: Robot, joints: Sequence[str], *names: str) -> list[Float64]:

@@ -52,8 +52,7 @@ def check_pose(subject: Subject, result: CheckResult) -> None:
         check_mirrored(policy, "pose.symmetry", "default_joint_pos")
     model = subject.model
     if model is not None:
-        where = subject.document.where("scene")
-        check_collision(model, subject.robot, result, where)
+        check_collision(model, subject.robot, result, subject.document.where("scene"))
     if not subject.robot.walks:
         return
     if model is None:
@@ -134,7 +133,7 @@ def _feet(robot: Robot, policy: PolicyResult, posed: PosedModel) -> None:
         if height < ground - BELOW_FEET:
             wrong(
                 f"{body} is {1e2 * (ground - height):.1f} cm below the lowest foot "
-                f"({min(lowest, key=lambda foot: lowest[foot])})"
+                f"({min(lowest, key=lowest.__getitem__)})"
             )
     for foot, height in lowest.items():
         across = max(parts[foot]) - height
@@ -152,7 +151,7 @@ def _feet(robot: Robot, policy: PolicyResult, posed: PosedModel) -> None:
 
 def _lowest(model: Any, heights: Mapping[int, float]) -> tuple[str, float]:
     """Return the body of the lowest geom, and how high that is."""
-    geom = min(heights, key=lambda geom: heights[geom])
+    geom = min(heights, key=heights.__getitem__)
     return model.body(int(model.geom_bodyid[geom])).name, heights[geom]
 
 

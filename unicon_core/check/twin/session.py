@@ -47,9 +47,6 @@ SMOOTH_RATE = 15.0
 """Rate of targets in [rad/s] at which smoothness has fallen to 1/e."""
 START = 1.0
 """Time from rest that tracking leaves out in [s]."""
-FALL_COSINE, FALL_HEIGHT = Monitor.FALL_COSINE, Monitor.FALL_HEIGHT
-"""A base that tilts further, or sinks below this share of its height when the policy took over, has
-fallen."""
 AT_LIMIT = 0.005
 """A joint within this distance of its limit in [rad] is at the limit."""
 
@@ -129,8 +126,9 @@ class Recorder:
         motion = np.zeros(1) if self._motion is None else self._motion
         row = (*(views[name] for name in ROW), velocity, motion)
         self.rows.append([values.astype(np.float64) for values in row])
-        tilted = float(views["projected_gravity"][2]) > -FALL_COSINE
-        sunk = self._standing is not None and height < FALL_HEIGHT * self._standing
+        tilted = float(views["projected_gravity"][2]) > -Monitor.FALL_COSINE
+        # Below a share of its height when the policy took over.
+        sunk = self._standing is not None and height < Monitor.FALL_HEIGHT * self._standing
         self.fell = tilted or sunk
         return self.fell
 
