@@ -23,7 +23,7 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Import what builds when it is asked for: documents are read and listed without NumPy."""
-    if name not in ("Hook", "HookBlocks", "Program", "load_workflow"):
+    if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(import_module("unicon_core.workflow.program"), name)
     globals()[name] = value

@@ -329,9 +329,7 @@ class Platforms(Type):
         """Return the schema of `platforms:`."""
         options = {n: _options("platforms", n, definitions) for n in sorted(known("platforms"))}
         given = {
-            name: {"anyOf": [each, {"type": "null"}]}
-            for name, each in options.items()
-            if each is not None
+            name: {"anyOf": [each, _NULL]} for name, each in options.items() if each is not None
         }
         anything = {"type": ["object", "null"]}
         return {"type": "object", "properties": given, "additionalProperties": anything}

@@ -161,7 +161,8 @@ def finite_first(document: WorkflowDocument, safety: Sequence[Node]) -> None:
             raise document.error(
                 f"safety: {block.name!r} stands behind {clamp!r}, which hides infinite "
                 f"commands from it; move {block.name!r} before {clamp!r}",
-                *("safety", i),
+                "safety",
+                i,
             )
         if not clamp and getattr(block.tick, "clamps", False):
             clamp = block.name
@@ -211,7 +212,8 @@ def specs_of(
             raise document.error(
                 f"state {name!r} is a standard one of shape {list(standard.shape)} and "
                 f"{standard.dtype}; give yours another name",
-                *("states", name),
+                "states",
+                name,
             )
         specs[name] = spec
     extra = {name: specs[name] for name in given}

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from unicon_base import AnyDict, UniconError, alternatives
+from unicon_base import AnyDict, AnyMapping, UniconError, alternatives
 from unicon_base.resources import find_config
 from unicon_base.schema.marks import (
     Checked,
@@ -65,7 +65,7 @@ class PolicyEntry:
     """
 
     path: Text
-    given: Annotated[Mapping[str, Any] | None, Write("a mapping of facts")] = None
+    given: Annotated[AnyMapping | None, Write("a mapping of facts")] = None
     child: bool | Annotated[Any, Later("unicon_core.policies.chunks:ChildSpec")] | None = None
     remote: Annotated[Any, Later("unicon_core.policies.chunks:RemoteSpec")] | None = None
 
@@ -137,7 +137,7 @@ class Skill(Entry):
     next: str | None = None
 
     @staticmethod
-    def between(found: dict[str, Any], here: Here) -> None:
+    def between(found: AnyDict, here: Here) -> None:
         """Note a skill that is both a policy and a graph, or neither."""
         if (found.get("policy") is None) == (found.get("do") is None):
             here.note("give {policy: NAME}, or {do: FLOW}")
@@ -229,7 +229,7 @@ class Workflow:
     num_robots: Annotated[int | None, Within(1, MOST_ROBOTS)] = None
     map: Annotated[str | None, Checked(_no_map)] = None
     ros: bool | None = None
-    states: Mapping[str, Any] | None = None
+    states: AnyMapping | None = None
     policies: Mapping[str, str | PolicyEntry] | None = None
     shadow: Mapping[str, str | ShadowEntry] | None = None
     skills: (
@@ -252,7 +252,7 @@ class Workflow:
     check: CheckSettings | None = None
 
     @staticmethod
-    def between(found: dict[str, Any], here: Here) -> None:
+    def between(found: AnyDict, here: Here) -> None:
         """Note skills that follow and are not there, and a policy that another one is meant by."""
         policies = here.document.get("policies")
         for name, said in policies.items() if isinstance(policies, Mapping) else ():

@@ -25,11 +25,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any
 
 import numpy as np
 
 from unicon_base import AnyDict, AnyMapping, WorkflowError
+from unicon_base.located_yaml import Where
 from unicon_base.schema.marks import Key, NotEmpty, Within, Write
 from unicon_core.blocks.controls.modes import SKILL, Ended, Skills, check_buttons, way_of
 from unicon_core.flow import Block, Chain, Deferred, Every, Loop, Node, Switch, When, Zip, as_node
@@ -58,12 +59,10 @@ class SkillsForm:
     on: Annotated[str | None, Write("STATE")] = None
 
 
-Reader = Callable[[Any, tuple[str | int, ...]], Node]
+Reader = Callable[[Any, Where], Node]
 
 
-def skills_switch(
-    document: WorkflowDocument, options: Any, path: tuple[str | int, ...], read: Reader
-) -> Node:
+def skills_switch(document: WorkflowDocument, options: Any, path: Where, read: Reader) -> Node:
     """Return the switch between the skills of a workflow.
 
     Args:
@@ -145,7 +144,7 @@ def _selector(
         return found
 
     def declares(robot: Robot) -> Mapping[str, StateSpec]:
-        number = StateSpec((), "int32", "", "", (), "number of the present skill")
+        number = StateSpec((), "int32", description="number of the present skill")
         return {SKILL: number, **(control_states() if held else {})}
 
     skills.declares = declares  # type: ignore[attr-defined]
@@ -160,8 +159,6 @@ def skills_of(program: ProgramData) -> Skills | None:
 
 MAX_NODES = 1000
 """Blocks and flow words of one workflow: each takes time to build, and aliases can repeat it."""
-
-Where: TypeAlias = tuple[str | int, ...]
 
 
 @dataclass(frozen=True)
@@ -249,16 +246,23 @@ class FlowReader:
             raise self._error(path, f"more than {MAX_NODES} blocks; make the workflow smaller")
         if isinstance(value, list):
             raise self._error(path, "a list stands alone; write chain: [...] or zip: [...]")
+        where = self._document.where
         if value == "skills":
             value = {"skills": None}
         if isinstance(value, str):
-            return Use(value, where=self._document.where(*path))
+            return Use(value, where=where(*path))
         if callable(value) or isinstance(value, Node):
-            return as_node(value, where=self._document.where(*path))
+            return as_node(value, where=where(*path))
         if isinstance(value, dict) and len(value) > 1:
             for word, what, give in (("on", "part", on), ("of", "member", of)):
-                if word in value:
-                    return self._given(word, what, give, value, path)
+                if word not in value:
+                    continue
+                name = value[word]
+                if not isinstance(name, str):
+                    text = f"{word}: {name!r} is not a {what}; write {word}: NAME"
+                    raise self._error((*path, word), text)
+                # All blocks of the node beside it belong there.
+                return give(name, self.node({k: v for k, v in value.items() if k != word}, path))
         if not isinstance(value, dict) or len(value) != 1:
             keys = ", ".join(map(str, value)) if isinstance(value, dict) else repr(value)
             raise self._error(
@@ -271,30 +275,14 @@ class FlowReader:
                 raise self._error(path, f"{word}: needs a list of blocks")
             children = [self.node(item, (*path, i)) for i, item in enumerate(body)]
             several = Zip if word == "zip" else Chain
-            return several(*children, where=self._document.where(*path))
+            return several(*children, where=where(*path))
         if word == "deferred":
-            return Deferred(self.node(body, path), where=self._document.where(*path))
+            return Deferred(self.node(body, path), where=where(*path))
         if word == "skills":
             return skills_switch(self._document, body, path, self.node)
         if word in _CONTROLS:
             return self._control(word, body, path)
         return self._use(str(word), body, path)
-
-    def _given(
-        self,
-        word: str,
-        what: str,
-        give: Callable[[str, Node], Node],
-        value: AnyDict,
-        path: Where,
-    ) -> Node:
-        """Return the node beside `on: NAME` or `of: NAME`, all of whose blocks belong there."""
-        name = value[word]
-        if not isinstance(name, str):
-            raise self._error(
-                (*path, word), f"{word}: {name!r} is not a {what}; write {word}: NAME"
-            )
-        return give(name, self.node({k: v for k, v in value.items() if k != word}, path))
 
     def _use(self, name: str, body: Any, path: Where) -> Use:
         where = self._document.where(*path)

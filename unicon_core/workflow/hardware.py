@@ -147,16 +147,14 @@ def read_scene(document: WorkflowDocument, context: BuildContext, facts: Facts) 
         WorkflowError: an unknown key, a wrong value, or a disturbance that is meant for a robot.
     """
 
-    def wrong(text: str, *path: str) -> WorkflowError:
-        return document.error(text, *(path or ("scene",)))
-
     values: AnyDict = document.get("scene", {})
     for key in values:
         if key in DISTURBANCES and not facts.simulated:
-            raise wrong(
+            raise document.error(
                 f"scene.{key} is for simulators, and platform {facts.name!r} is a robot; leave "
                 f"{key} out, or simulate: platform: mujoco",
-                *("scene", key),
+                "scene",
+                key,
             )
     values = {key: value for key, value in values.items() if value is not None}
     scene: Scene = read_part(document, Scene, values, "scene")
@@ -167,7 +165,7 @@ def read_scene(document: WorkflowDocument, context: BuildContext, facts: Facts) 
         if name not in context.policies:
             known = alternatives(name, context.policies)
             text = f"scene.initial_pose is {pose!r}, and there is no policy {name!r}; {known}"
-            raise wrong(text, "scene", "initial_pose")
+            raise document.error(text, "scene", "initial_pose")
         contract, joints = context.policies[name], np.nan_to_num(robot.default_joint_pos)
         joints[joint_index(contract.joints, robot.joint_names)] = contract.default_joint_pos
         scene = replace(scene, pose=joints)
@@ -177,13 +175,13 @@ def read_scene(document: WorkflowDocument, context: BuildContext, facts: Facts) 
             scene.joint_pos(robot)
         physics = joint_physics(robot, scene.joints)
     except (PlatformError, RobotError, WorkflowError) as error:
-        raise wrong(str(error)) from error
+        raise document.error(str(error), "scene") from error
     if not facts.simulated:
         return scene
     for word in physics.words:
         if word not in facts.physics:
             able = ", ".join(filter(JOINT_PHYSICS.__contains__, facts.physics))
-            raise wrong(
+            raise document.error(
                 f"platform {facts.name!r} simulates no {word} of joints (it can: "
                 f"{able or 'nothing of joints'}); take it out of scene.joints or of `simulated` in "
                 f"{robot.overlay or robot.path}, or choose platform: mujoco",
@@ -191,9 +189,10 @@ def read_scene(document: WorkflowDocument, context: BuildContext, facts: Facts) 
             )
     for word in scene.bodies:
         if word not in facts.physics:
-            raise wrong(
+            raise document.error(
                 f"platform {facts.name!r} cannot be told scene.{word}; take it out of scene, or "
                 "choose platform: mujoco",
-                *("scene", word),
+                "scene",
+                word,
             )
     return scene

@@ -167,7 +167,8 @@ def load_robot_of(document: WorkflowDocument) -> Robot:
             raise document.error(
                 f"robot: a member called {member!r} would be mistaken for the platform; name it "
                 "otherwise, such as body",
-                *("robot", member),
+                "robot",
+                member,
             )
     robots = {member: load(text, "robot", member) for member, text in members.items()}
     try:
@@ -178,9 +179,8 @@ def load_robot_of(document: WorkflowDocument) -> Robot:
 
 def stamps_of(document: WorkflowDocument) -> dict[str, StateSpec]:
     """Return the states that tell when each member's data were taken; none of one platform."""
-    text = "source time of its data"
-    members = [member for member in read_platforms(document) if member]
-    return {stamp_of(member): StateSpec((), "int64", "ns", "", (), text) for member in members}
+    spec = StateSpec((), "int64", "ns", description="source time of its data")
+    return {stamp_of(member): spec for member in read_platforms(document) if member}
 
 
 def member_robot(robot: Robot, member: str) -> Robot:

@@ -294,7 +294,9 @@ def _checked_options(document: WorkflowDocument, name: str, factory: Factory) ->
             raise document.error(
                 f"platforms.{name}.{option} is meant for every simulator; write scene: "
                 f"{{{option}: …}}",
-                *("platforms", name, option),
+                "platforms",
+                name,
+                option,
             )
 
     def wrong(text: str, *path: str) -> WorkflowError:

@@ -89,14 +89,13 @@ def command_bounds(
         fallback = (-cautious, cautious), said, False
         if axis in robot.command_ranges:
             fallback = robot.command_ranges[axis], f"command_ranges of robot {robot.name}", True
-        found: list[tuple[tuple[float, float], str, bool]] = []
-        for label, contract in readers:
-            pair = contract.command_ranges.get(_POLICY_KEYS[axis])
-            if pair is None or not all(map(math.isfinite, pair)):
-                found.append(fallback)
-            else:
-                found.append((pair, f"command_ranges of {label}", True))
-        found = found or [fallback]
+        pairs = [(who, each.command_ranges.get(_POLICY_KEYS[axis])) for who, each in readers]
+        found = [
+            fallback
+            if pair is None or not all(map(math.isfinite, pair))
+            else (pair, f"command_ranges of {label}", True)
+            for label, pair in pairs
+        ] or [fallback]
         low = max(found, key=lambda each: each[0][0])
         high = min(found, key=lambda each: each[0][1])
         lowest, highest = float(np.float32(low[0][0])), float(np.float32(high[0][1]))

@@ -54,7 +54,10 @@ def find_factory(kind: str, name: str, error: type[UniconError]) -> Factory:
         return import_target(targets[name], what, error)
     factory = import_target(name, what, error)
     if not _FACTORIES[kind](factory):
-        raise error(f"{what} does not say that it makes one, so it is not called; {_SAY[kind]}")
+        raise error(
+            f"{what} does not say that it makes one, so it is not called; annotate {_SAY[kind]}, "
+            f"or register it in the entry point group unicon.{kind}"
+        )
     return factory
 
 
@@ -121,12 +124,12 @@ _FACTORIES: dict[str, Callable[[Factory], bool]] = {
     "faces": is_face_factory,
 }
 _SAY = {
-    "blocks": "annotate its states (Reads, Writes, Amends) or what it returns (-> Tick), all of "
-    "unicon_core.flow, or register it in the entry point group unicon.blocks",
-    "platforms": "annotate what it returns (-> Platform of unicon_core.platforms.platform, or a "
-    "class with recv, send and close), or register it in the entry point group unicon.platforms",
-    "faces": "annotate what it returns (-> Endpoint of unicon_hardware.endpoint, or a class with "
-    "tell, hear and close), or register it in the entry point group unicon.faces",
+    "blocks": "its states (Reads, Writes, Amends) or what it returns (-> Tick), all of "
+    "unicon_core.flow",
+    "platforms": "what it returns (-> Platform of unicon_core.platforms.platform, or a class with "
+    "recv, send and close)",
+    "faces": "what it returns (-> Endpoint of unicon_hardware.endpoint, or a class with tell, hear "
+    "and close)",
 }
 
 

@@ -278,8 +278,11 @@ def completed(
 
     own = [builder.built(node) for node in listed]
     finite = find_factory("blocks", FIRST, WorkflowError)
-    whole = [node if isinstance(node, Use) and not node.of else None for node in listed]
-    is_first = [node is not None and factory_of(node) is finite for node in whole]
-    begin = is_first.index(True) + 1 if True in is_first else 0
+    firsts = (
+        place
+        for place, node in enumerate(listed, 1)
+        if isinstance(node, Use) and not node.of and factory_of(node) is finite
+    )
+    begin = next(firsts, 0)
     front = [*own[:begin], *(() if begin else add(FIRST)), *add(*STOPS)]
     return [*front, *own[begin:], *add(*LAST)], why
