@@ -107,8 +107,8 @@ def test_each_pipeline_is_shipped_beside_the_bench() -> None:
 
     every = (*VARIANTS, *STRONGEST)
     sides = {side for each in every for side in (each.measuring, each.controller) if side}
-    assert ("fast_robot", "observer") in sides
-    assert not [name for name, _ in sides if find_spec(f"{PIPELINES}.{name}") is None]
+    assert "fast_robot/observer" in sides
+    assert not [side for side in sides if not find_spec(f"{PIPELINES}.{side.partition('/')[0]}")]
 
 
 def test_turns_that_would_let_peers_take_each_other_for_dead_are_refused(

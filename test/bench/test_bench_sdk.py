@@ -18,6 +18,9 @@ pytest.importorskip("cyclonedds", reason="needs cyclonedds: pip install 'unicon_
 
 from unicon_ros.bench.pipelines.fast_robot import WINDOW, Made
 
+SYNC, ASYNC, UNITREE = "SDK (sync)", "SDK (async)", "unicon, unitree, on state"
+SYNC_500, OURS_500 = "SDK (sync), G1 at 500 Hz", "unicon, unitree, G1 at 500 Hz"
+
 
 def test_identity_control_hands_on_which_state_it_answers() -> None:
     made = Made()
@@ -64,23 +67,23 @@ def test_rows_and_ratios_are_those_of_the_rounds_that_have_both() -> None:
         return times | {"cpu": np.full(3, 1.0)}
 
     both = {
-        latency.SYNC: rows(100, 1000),
-        latency.UNITREE: rows(10, 250),
-        latency.ASYNC: rows(1, 500),
+        SYNC: rows(100, 1000),
+        UNITREE: rows(10, 250),
+        ASYNC: rows(1, 500),
     }
-    both |= {latency.SYNC_500: rows(200, 1), latency.OURS_500: rows(20, 1)}
+    both |= {SYNC_500: rows(200, 1), OURS_500: rows(20, 1)}
     bench = Bench("made", seed=0, rounds=2)
     latency.add(
-        bench, latency.SDK_VARIANTS, latency.SDK_RATIOS, [both, {latency.SYNC_500: rows(1, 1)}]
+        bench, latency.SDK_VARIANTS, latency.TABLES["sdk_ratios"], [both, {SYNC_500: rows(1, 1)}]
     )
     assert bench.ratios["unitree_recv_and_send"]["value"] == pytest.approx(0.1)
     assert bench.ratios["unitree_recv_and_send"]["holds"]
     assert bench.facts["unitree, end to end, of SDK (sync)"].startswith("0.25 (")
     assert bench.facts["unitree, end to end, of SDK (async)"].startswith("0.5 (")
-    assert f"{latency.SYNC}: cpu [% of a core]" in bench.cases
+    assert f"{SYNC}: cpu [% of a core]" in bench.cases
     assert [name for name in bench.cases if "500" in name] == [
-        f"{latency.SYNC_500}: recv_and_send",
-        f"{latency.OURS_500}: recv_and_send",
+        f"{SYNC_500}: recv_and_send",
+        f"{OURS_500}: recv_and_send",
     ]
 
 
@@ -108,7 +111,7 @@ def test_a_ratio_of_tails_is_of_all_rounds_and_has_an_interval() -> None:
 
 
 def added(bench: Bench, results: list[dict[str, Rows]]) -> None:
-    latency.add(bench, latency.SDK_VARIANTS, latency.SDK_RATIOS, results)
+    latency.add(bench, latency.SDK_VARIANTS, latency.TABLES["sdk_ratios"], results)
 
 
 def test_without_results_nothing_is_told() -> None:
@@ -158,4 +161,4 @@ def test_the_sdk_and_ours_close_the_loop_with_one_robot(tmp_path: Path) -> None:
         assert all(case["samples"] >= 20 for case in cases.values())
         assert 0.0 < cases["recv"]["p50"] < cases["end_to_end"]["p50"]
     assert bench.ratios["unitree_recv_and_send"]["value"] > 0.0
-    assert bench.cases[f"{latency.OURS_500}: recv_and_send"]["samples"] >= 100
+    assert bench.cases[f"{OURS_500}: recv_and_send"]["samples"] >= 100

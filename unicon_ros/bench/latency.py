@@ -32,8 +32,8 @@ from unicon_ros.bench.loops import LEASE, SETTLE, Loop
 from unicon_ros.bench.pipelines.budget import measure_budget
 from unicon_ros.bench.report import Bench, free_domain, loopback_environment
 from unicon_ros.bench.rounds import (
+    TABLES,
     Claim,
-    Pooled,
     Rows,
     add_pooled_ratios,
     add_ratios,
@@ -58,8 +58,8 @@ class Variant:
 
     Attributes:
         name: row of the table.
-        measuring: pipeline and its variant that notes what arrives: the robot, or an observer.
-        controller: pipeline and its variant, or None where one process is both.
+        measuring: PIPELINE/VARIANT that notes what arrives: the robot, or an observer.
+        controller: PIPELINE/VARIANT, or None where one process is both.
         best_effort: QoS of all topics.
         shared_memory: our controller takes Fast DDS's shared memory, as the plain ones do.
         rate: of commands in [Hz]; None for that of the bench, which sweeps all phases.
@@ -67,96 +67,21 @@ class Variant:
     """
 
     name: str
-    measuring: tuple[str, str]
-    controller: tuple[str, str] | None
+    measuring: str
+    controller: str | None = None
     best_effort: bool = False
     shared_memory: bool = False
     rate: float | None = None
-    rows: tuple[str, ...] = ()
+    rows: Sequence[str] = ()
 
 
-PLAIN, TRIGGERED = "plain, two processes", "plain, triggered by state"
-ON_STATE = "unicon, on state"
-BEST_EFFORT, SHARED_MEMORY = f"{ON_STATE}, best effort", f"{ON_STATE}, shared memory"
-MIRROR_ALONE = "plain, a mirror alone"
-LOCAL, OBSERVED = "unicon, local, ROS a mirror", "unicon, local, observed by us"
-FAST = ("fast_robot", "")
-ON_JOINTS, EACH_NTH = "unicon, on joint states alone", "unicon, each n-th of these"
-TYPED, RAW = "plain, wait set and take, typed", "plain, wait set and take, raw"
+def _variants(part: str) -> tuple[Variant, ...]:
+    return tuple(Variant(**row) for row in TABLES[part])
 
-VARIANTS = (
-    Variant(PLAIN, ("plain", "robot"), ("plain", "controller")),
-    Variant("plain, one process", ("plain", "both"), None),
-    Variant("plain, fast robot", FAST, ("plain", "controller")),
-    Variant("plain, EventsExecutor", FAST, ("plain", "events")),
-    Variant(TRIGGERED, FAST, ("plain", "triggered")),
-    Variant("thread per bridge", FAST, ("plain", "threads")),
-    Variant("unicon, free tick", FAST, ("unicon", "deadline")),
-    Variant(TYPED, FAST, ("waiting", "typed")),
-    Variant(RAW, FAST, ("waiting", "raw")),
-    Variant(ON_STATE, FAST, ("unicon", "state")),
-    Variant(ON_JOINTS, FAST, ("unicon", "joints")),
-    Variant(BEST_EFFORT, FAST, ("unicon", "state"), best_effort=True),
-    Variant(SHARED_MEMORY, FAST, ("unicon", "state"), shared_memory=True),
-    Variant(MIRROR_ALONE, ("plain", "observer"), ("plain", "mirror")),
-    Variant(LOCAL, ("plain", "observer"), ("unicon", "local")),
-    Variant(OBSERVED, ("fast_robot", "observer"), ("unicon", "local")),
-)
 
-_OF_PLAIN_NODE = "mirror, of that of a plain node that publishes nothing else"
-_OF_ONE_WAY = "mirror to our own bridge, of plain's one-way"
-
-RATIOS: tuple[Claim, ...] = (
-    ("end_to_end", "end_to_end", ON_STATE, "end_to_end", PLAIN, 0.25),
-    ("end_to_end_best_effort", "end_to_end", BEST_EFFORT, "end_to_end", PLAIN, 0.2),
-    ("end_to_end_triggered", "end_to_end", ON_STATE, "end_to_end", TRIGGERED, 0.7),
-    ("local", "state_to_command", LOCAL, "state_to_command", PLAIN, 0.01),
-    ("mirror", "mirror", LOCAL, "one_way", PLAIN, 0.7),
-    ("cpu", "cpu", ON_STATE, "cpu", PLAIN, 0.3),
-    # told without a bar: an rclpy observer takes longer than what it observes
-    (_OF_PLAIN_NODE, "mirror", LOCAL, "mirror", MIRROR_ALONE, None),
-    (_OF_ONE_WAY, "mirror", OBSERVED, "one_way", PLAIN, None),
-)
-
-COST, END = "recv_and_send", "end_to_end"
-
-STRONGEST = (
-    *(v for v in VARIANTS if v.name in (TYPED, RAW, ON_STATE, ON_JOINTS)),
-    Variant(EACH_NTH, FAST, ("unicon", "nth")),
-)
-STRONGEST_RATIOS: tuple[Pooled, ...] = (
-    ("strongest_typed", END, ON_JOINTS, TYPED, None, 0.9),
-    ("strongest_typed_p50", END, ON_JOINTS, TYPED, 50.0, 0.9),
-    ("strongest_typed_p95", END, ON_JOINTS, TYPED, 95.0, 1.0),
-    ("strongest_typed_p99", END, ON_JOINTS, TYPED, 99.0, 1.0),
-    ("strongest_raw", END, ON_JOINTS, RAW, None, 1.15),
-    ("strongest_cpu", "cpu", ON_JOINTS, TYPED, None, 0.8),
-)
+VARIANTS, STRONGEST, SDK_VARIANTS = map(_variants, ("variants", "strongest", "sdk"))
 LONGER, MORE_ROUNDS = 1.5, 72
 """Of the strongest rows alone, in [s] and rounds: 5,400 commands each, in ten minutes."""
-
-SYNC, ASYNC = "SDK (sync)", "SDK (async)"
-FREE, UNITREE = "unicon, unitree, free tick", "unicon, unitree, on state"
-SYNC_500, OURS_500 = "SDK (sync), G1 at 500 Hz", "unicon, unitree, G1 at 500 Hz"
-H1, G1 = ("fast_robot", "h1"), ("fast_robot", "g1_29dof")
-
-SDK_VARIANTS = (
-    Variant(SYNC, H1, ("unitree_sdk", "go:sync")),
-    Variant(ASYNC, H1, ("unitree_sdk", "go:async")),
-    Variant(FREE, H1, ("unicon", "h1:deadline")),
-    Variant(UNITREE, H1, ("unicon", "h1:state")),
-    Variant(SYNC_500, G1, ("unitree_sdk", "hg:sync"), rate=500.0, rows=(COST,)),
-    Variant(OURS_500, G1, ("unicon", "g1_29dof:deadline"), rate=500.0, rows=(COST,)),
-)
-
-SDK_RATIOS: tuple[Claim, ...] = (
-    ("unitree_recv_and_send", COST, OURS_500, COST, SYNC_500, 0.2),
-    ("unitree, recv and send at 50 Hz, of SDK (sync)", COST, FREE, COST, SYNC, None),
-    ("unitree, end to end, of SDK (sync)", END, UNITREE, END, SYNC, None),
-    ("unitree, end to end, of SDK (async)", END, UNITREE, END, ASYNC, None),
-    ("unitree, free tick, end to end, of SDK (sync)", END, FREE, END, SYNC, None),
-    ("unitree, free tick, end to end, of SDK (async)", END, FREE, END, ASYNC, None),
-)
 
 
 def run(
@@ -213,21 +138,17 @@ def run(
         "state_rate_hz": state_rate,
         "joints": joints,
         "seconds": seconds,
-        "qos": "reliable, keep last 1, unless the row says best effort; ours, as platform ros does "
-        "by itself, and those that wait and take hear states with best effort",
-        "transports": "Fast DDS defaults; our controllers UDP alone, as they do by themselves",
-        "rmw": os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp"),
-        "rows": "Recv: state made → in the controller's hands; Send: publishing the command; "
-        "state_to_command: state made → its command published; "
-        "end_to_end: state made → its command at the robot",
+        **TABLES["facts"],
     }
-    add(bench, variants, RATIOS, results)
+    if rmw := os.environ.get("RMW_IMPLEMENTATION"):
+        bench.facts["rmw"] = rmw
+    add(bench, variants, TABLES["ratios"], results)
     # Few commands tell nothing of a tail.
-    claims = [each for each in STRONGEST_RATIOS if strongest or each[4] is None]
+    claims = [each for each in TABLES["strongest_ratios"] if strongest or each[4] is None]
     add_pooled_ratios(bench, results, claims)
     if results and not strongest:
         beside_paper(bench, [variant.name for variant in variants])
-    add(bench, SDK_VARIANTS, SDK_RATIOS, official)
+    add(bench, SDK_VARIANTS, TABLES["sdk_ratios"], official)
     if lacking:
         bench.facts["left out: SDK (sync), SDK (async)"] = lacking
     if results and not (strongest or SIGNALS.asked):
@@ -266,7 +187,7 @@ def measure(
             _loop,
             each,
             ["--rate", f"{each.rate or rate}", *common],
-            folder / f"{number}_{each.measuring[1]}.npz",
+            folder / f"{number}.npz",
         )
         for number, each in enumerate(variants)
     }
@@ -312,8 +233,8 @@ def sdk_lacks() -> str:
 def _loop(variant: Variant, given: list[str], log: Path) -> Loop:
     given = [*given, *["--best-effort"] * variant.best_effort]
 
-    def command(pipeline: tuple[str, str]) -> list[str]:
-        module, kind = pipeline
+    def command(pipeline: str) -> list[str]:
+        module, _, kind = pipeline.partition("/")
         start = [sys.executable, "-m", f"{PIPELINES}.{module}"]
         if module == "unitree_sdk":
             path = f"PYTHONPATH={os.environ['UNICON_UNITREE_SDK']}"

@@ -12,17 +12,22 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from unicon_base import AnyDict
 from unicon_base.arrays import Float64
+from unicon_base.located_yaml import read_yaml
 from unicon_core.signals import SIGNALS, Interrupted
 from unicon_ros.bench.loops import Loop, breathe
 from unicon_ros.bench.report import Bench
 from unicon_ros.cli.console import CLEAR, is_terminal
 
 SEED = 0
+
+TABLES: AnyDict = read_yaml(Path(__file__).with_name("latency.yaml")).value
 
 Rows = dict[str, Float64]
 """What one variant gave in one round: row to samples."""
@@ -186,20 +191,6 @@ def _ratio(pairs: Sequence[tuple[Float64, Float64]], percentile: float | None) -
 PAPER_ROWS = {"Recv": "recv", "Send": "send", "End-to-end": "state_to_command"}
 """The paper's row to ours."""
 
-DEFINITIONS = (
-    "Recv: time to obtain the latest states, here from their stamp on; Send: time to transmit the "
-    "command; End-to-end: from the stamp of the states to the send of the command that depends on "
-    "them (our state_to_command); mean ± std (p50, p99) in µs"
-)
-
-THEIRS = {
-    "SDK (sync)": "Recv 1261 ± 150, Send 1011 ± 72, End-to-end 1805 ± 1559",
-    "SDK (async)": "Recv –, Send 1001 ± 65, End-to-end 1447 ± 936",
-    "ROS 2": "Recv 50 ± 88, Send 587 ± 179, End-to-end 1658 ± 882",
-    "UniCon": "Recv 63 ± 15, Send 190 ± 45, End-to-end 732 ± 749",
-}
-"""The paper's table, on its machine; no p50 and p99 are told."""
-
 
 def beside_paper(bench: Bench, variants: Iterable[str]) -> None:
     """Add the paper's table, and the same rows of variants that were measured, as facts.
@@ -208,9 +199,7 @@ def beside_paper(bench: Bench, variants: Iterable[str]) -> None:
         bench: with the cases of the variants, each `VARIANT: ROW`.
         variants: names; those without a command have no such rows and are left out.
     """
-    bench.facts["the paper's rows"] = DEFINITIONS
-    for name, told in THEIRS.items():
-        bench.facts[f"paper, {name}"] = told
+    bench.facts |= TABLES["paper"]
     for name in variants:
         if f"{name}: {PAPER_ROWS['End-to-end']}" in bench.cases:
             rows = [f"{word} {_told(bench, f'{name}: {row}')}" for word, row in PAPER_ROWS.items()]
