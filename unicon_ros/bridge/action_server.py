@@ -90,7 +90,7 @@ class ActionServer:
         self._stops = node.create_service(
             kind.Impl.CancelGoalService, f"{base}/cancel_goal", self._stop
         )
-        take, self._let_go = compat.requests_take(self._stops)
+        take, self._let_go = compat.request_take(self._stops)
         self._take = take or _nothing
         self._late: list[tuple[Any, Any]] = []
         self._feedback = node.create_publisher(kind.Impl.FeedbackMessage, f"{base}/feedback", 10)

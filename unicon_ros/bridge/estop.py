@@ -139,7 +139,7 @@ class EmergencyStop:
     def hear(self) -> None:
         """Take a request, if there is one, and latch; it is answered later."""
         try:
-            header = self._take()
+            taken = self._take()
         except Exception as error:  # garbage in the queue, or the middleware is gone: listen on
             if not self._failed:
                 self._failed = True
@@ -148,8 +148,8 @@ class EmergencyStop:
                     "again in every tick, but a signal such as Ctrl-C is a surer way to stop"
                 )
             return
-        if header is not None:
-            self._unanswered.append(header)
+        if taken is not None:
+            self._unanswered.append(taken[1])
             self._latch()
 
     # -- between runs ---------------------------------------------------------------------------
