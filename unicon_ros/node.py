@@ -325,9 +325,7 @@ class UniconNode(LifecycleNode):
         session.attach(self.runner)
         for each in self._attachments:
             each.attach(self.runner)
-        told = self.diagnostics
-        told.neighbours = session.neighbours
-        told.outgoing, told.incoming = session.outgoing, session.incoming
+        self.diagnostics.neighbours = session.neighbours
 
     def _release(self) -> None:
         """Close what was built; the platform damps first."""
@@ -340,7 +338,6 @@ class UniconNode(LifecycleNode):
                     what.close()
             except Exception as error:  # everything is closed, and each error told
                 self.log.error(f"closing failed: {explained(error)}")
-        self.diagnostics.outgoing, self.diagnostics.incoming = [], []
         self.diagnostics.neighbours = None
 
     def _label(self) -> str:

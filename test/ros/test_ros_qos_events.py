@@ -103,7 +103,7 @@ def status(run: Run) -> tuple[bytes, str, dict[str, str]]:
     assert run.session.estop is not None
     diagnostics = Diagnostics(run.session.node, run.session.estop)
     diagnostics.runner = run.runner
-    diagnostics.outgoing, diagnostics.incoming = run.session.outgoing, run.session.incoming
+    diagnostics.neighbours = run.session.neighbours
     found = diagnostics.status()
     diagnostics.close()
     return found

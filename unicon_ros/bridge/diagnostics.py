@@ -158,8 +158,7 @@ class Diagnostics:
 
     Attributes:
         runner: what is told about; None while nothing runs.
-        outgoing, incoming: topics whose rates are told.
-        neighbours: what is told of them; None while nobody looks.
+        neighbours: says whose topics are told, and what is told of others; None while nobody looks.
         fault: why the last run ended, "" if it ended well.
         causes: `cause NAME` to its size, of those that explain how the robot moves.
     """
@@ -170,8 +169,6 @@ class Diagnostics:
         self._node, self._estop = node, estop
         self._publisher = node.create_publisher(DiagnosticArray, TOPIC, 10)
         self.runner: Runner | None = None
-        self.outgoing: list[TopicOut] = []
-        self.incoming: list[TopicIn] = []
         self.neighbours: Neighbours | None = None
         self.fault = ""
         self.causes: dict[str, str] = {}
@@ -241,8 +238,10 @@ class Diagnostics:
 
     def _topics(self, values: dict[str, str], seconds: float) -> list[str]:
         """Add what topics tell to the values; return what is wrong with them."""
-        wrong: list[str] = []
-        for label, each in _labelled(self.outgoing, self.incoming):
+        neighbours, wrong = self.neighbours, list[str]()
+        if neighbours is None:
+            return wrong
+        for label, each in _labelled(neighbours):
             for name, count in each.events.counts().items():
                 values[f"{label} {name}"] = str(count)
             if each.events.trouble:
@@ -260,7 +259,7 @@ class Diagnostics:
                 wrong.append(f"{each.topic}: messages were refused")
             if each.stale:
                 wrong.append(f"{each.topic}: no messages any more")
-        return wrong + ([] if self.neighbours is None else [*self.neighbours.present.values()])
+        return [*wrong, *neighbours.present.values()]
 
     def close(self) -> None:
         """Tell how the run ended, where there was one, and destroy the publisher."""
@@ -272,11 +271,9 @@ class Diagnostics:
         self._node.destroy_publisher(self._publisher)
 
 
-def _labelled(
-    outgoing: Sequence[TopicOut], incoming: Sequence[TopicIn]
-) -> list[tuple[str, TopicOut | TopicIn]]:
+def _labelled(node: Neighbours) -> list[tuple[str, TopicOut | TopicIn]]:
     """Return topics with what tells them apart: their names, and more where several share one."""
-    both: list[TopicOut | TopicIn] = [*outgoing, *incoming]
+    both: list[TopicOut | TopicIn] = [*node.outgoing, *node.incoming]
     names = [each.topic for each in both]
     labels: list[str] = []
     for each in both:

@@ -231,15 +231,12 @@ class RosSession:
         self.controls.runner = self.slack.runner = runner
         self.introspection.attach(runner.program, self._topics(), self.arrays)
         calm_middleware_threads()
-        if not self._timers:
-            make = partial(compat.steady_timer, self.node, 1.0, group=self._group)
-            self._timers.append(make(self._look))
-            if self.diagnostics is not None:
-                self._timers.append(make(self.diagnostics.publish))
-        told = self.diagnostics
+        calls, told = [self._look], self.diagnostics
         if told is not None:
             told.runner, told.neighbours = runner, self.neighbours
-            told.outgoing, told.incoming = self.outgoing, self.incoming
+            calls.append(told.publish)
+        for call in calls if not self._timers else ():
+            self._timers.append(compat.steady_timer(self.node, 1.0, call, self._group))
         self.slack.look()
 
     def counts(self) -> AnyDict:
