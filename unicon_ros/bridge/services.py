@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from unicon_base import TextSink
 from unicon_core.blocks.controls.modes import Skills
@@ -21,20 +21,11 @@ from unicon_core.workflow.flow_yaml import skills_of
 from unicon_core.workflow.policies import shadowed_in
 from unicon_ros import compat
 
+if TYPE_CHECKING:
+    from unicon_ros.bridge.estop import EmergencyStop
+
 Answer = tuple[bool, str]
 """Success, and a line for the caller."""
-
-
-class StopLatch(Protocol):
-    """An emergency stop, as seen during a pause and before a start."""
-
-    def refusal(self) -> str:
-        """Return why nothing may start, or ""."""
-        ...
-
-    def look(self) -> object:
-        """Take a request, if there is one; raise where it is pressed."""
-        ...
 
 
 class Controls:
@@ -50,7 +41,7 @@ class Controls:
         others: looked at during a pause too, when no block is.
     """
 
-    def __init__(self, serve: Callable[[float], None], estop: StopLatch | None = None) -> None:
+    def __init__(self, serve: Callable[[float], None], estop: EmergencyStop | None = None) -> None:
         self.runner: Runner | None = None
         self.paused = False
         self.others: list[Callable[[], object]] = []
