@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from unicon_base import AnyMapping
 from unicon_core.platforms.platform import Binding, Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
@@ -54,15 +53,7 @@ class GazeboPlatform(RosPlatform):
     facts = Facts("gazebo", examine=examine)
     remedy = "start Gazebo with its controllers and bridge (docs/howto/gazebo.md)"
 
-    def __init__(self, states: States, robot: Robot, period: float, *rest: Any) -> None:
-        super().__init__(states, robot, period, *rest)
-        notes = _servo_notes(self.facts.reads, period)
-        self.facts = replace(self.facts, notes=(*self.facts.notes, *notes))
-
-    def info(self) -> AnyMapping:
-        """Return map, topics, what came in, and where the servo is."""
-        told = super().info()
-        return {**told, "notes": [*told["notes"], *self.facts.notes]}
+    notes = staticmethod(_servo_notes)
 
 
 make = maker(GazeboPlatform, "gazebo", 20.0)

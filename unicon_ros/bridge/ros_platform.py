@@ -149,7 +149,8 @@ class RosPlatform:
         if self._exchange.turned:
             self._gravity = projected_gravity(states[ORIENTATION], states["projected_gravity"])
         reads, writes = self._exchange.reads, self._exchange.writes
-        self.facts = replace(self.facts, reads=reads, writes=writes)
+        notes = self.notes(reads, period)
+        self.facts = replace(self.facts, reads=reads, writes=writes, notes=notes)
         # A map without gains moves motors that look at nothing but their targets.
         self._hold = {"joint_stiffness", "joint_damping"}.isdisjoint(reads)
         self._finite = FiniteCheck(
@@ -158,6 +159,11 @@ class RosPlatform:
         self._sent = LastSent(states)
         self._wait_set = compat.ReusedWaitSet([self.incoming[0].subscription], own.context)
         self._closed = False
+
+    @staticmethod
+    def notes(reads: Sequence[str], period: float) -> tuple[str, ...]:
+        """Return remarks on a robot that reads these states, with ticks of a period in [s]."""
+        return ()
 
     def connect(self) -> None:
         """Wait for the first message of every topic that is needed.
@@ -321,7 +327,7 @@ class RosPlatform:
             "topics": list(self.topics),
             "received": {topic.topic: topic.received for topic in self.incoming},
             "published": {out.topic: out.published for out in self.outgoing},
-            "notes": list(self._warnings),
+            "notes": [*self._warnings, *self.facts.notes],
         }
 
 
