@@ -5,7 +5,7 @@ The codecs are built as the bridge and platform `ros` build them; neither node n
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -180,10 +180,15 @@ def message_class(spec: TopicSpec) -> Any:
     message = compat.bytes_class(spec.type, spec.messages)
     if message is None and not spec.optional:
         raise PlatformError(
-            f"{spec.where or spec.topic}: the type {spec.type} is not installed; "
-            f"install the ROS package {spec.type.split('/')[0]}"
+            f"{spec.where or spec.topic}: topic {spec.topic!r}: the type {spec.type} is not "
+            f"installed; {installing(spec)}, or say optional: true"
         )
     return message
+
+
+def installing(spec: TopicSpec) -> str:
+    """Return how to get a topic's type."""
+    return f"install the ROS package {spec.type.split('/')[0]}"
 
 
 def mirror_hook(program: Program, name: str | None = None) -> HookBlocks:
@@ -232,15 +237,19 @@ def check_mirror(subject: Subject, result: CheckResult, name: str | None = None)
         result.find_error("map.fit", f"map {path}", error)
         return
     for spec in heard:
-        for state in spec.states:
-            if state in program.platform.facts.writes:
-                result.find(
-                    "map.fit",
-                    spec.where or spec.topic,
-                    f"topic {spec.topic!r} would write state {state!r}, which platform "
-                    f"{subject.platform.name!r} writes",
-                    "take the topic out of the map, or use platform 'ros'",
-                )
+        for what, remedy in contested_states(spec, program.platform.facts):
+            result.find("map.fit", spec.where or spec.topic, what, remedy)
+
+
+def contested_states(spec: TopicSpec, facts: Facts) -> Iterator[tuple[str, str]]:
+    """Yield what is wrong and a remedy for each state of a topic that the platform writes too."""
+    for state in spec.states:
+        if state in facts.writes:
+            yield (
+                f"topic {spec.topic!r} would write state {state!r}, which platform {facts.name!r} "
+                "writes",
+                "take the topic out of the map, or use platform 'ros'",
+            )
 
 
 def _played(program: ProgramData, mapping: MessageMap) -> tuple[str, ...]:

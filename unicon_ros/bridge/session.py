@@ -38,6 +38,7 @@ from unicon_ros.bridge.bindings import (
 from unicon_ros.bridge.diagnostics import CLOCK, Diagnostics, Neighbours
 from unicon_ros.bridge.estop import STOP_SERVICES, EmergencyStop
 from unicon_ros.bridge.introspection import Introspection
+from unicon_ros.bridge.map_fit import contested_states, installing, message_class
 from unicon_ros.bridge.own_node import OwnNode, calm_middleware_threads
 from unicon_ros.bridge.robot_frames import RobotFrames
 from unicon_ros.bridge.ros_platform import RosPlatform
@@ -154,21 +155,15 @@ class RosSession:
             robot_variables(program.robot, self.frame_prefix),
         )
         written = told_states(program)
-        facts = program.platform.facts
 
         def build(spec: SubscribeSpec) -> Decoder:
-            for state in spec.states:
-                if state in facts.writes:
-                    raise UniconError(
-                        f"{spec.where or spec.topic}: topic {spec.topic!r} would write state "
-                        f"{state!r}, which platform {facts.name!r} writes; "
-                        "take the topic out of the map, or use platform 'ros'"
-                    )
+            for what, remedy in contested_states(spec, program.platform.facts):
+                raise UniconError(f"{spec.where or spec.topic}: {what}; {remedy}")
             return Decoder.build(spec, *bindings)
 
         for spec in self.map.subscribe:
             contested = not written.isdisjoint(spec.states)
-            topic = self._made(spec, "subscribe", build, partial(TopicIn, contested=contested))
+            topic = self._made(spec, build, partial(TopicIn, contested=contested))
             if topic is not None:
                 self.incoming.append(topic)
                 self.slack.always |= not topic.polled
@@ -209,7 +204,7 @@ class RosSession:
                 continue
             every = spec.every(program.period)
             phase = phases.get(every, 0)
-            topic = self._made(spec, "publish", build, partial(TopicOut, every=every, phase=phase))
+            topic = self._made(spec, build, partial(TopicOut, every=every, phase=phase))
             if topic is not None:
                 phases[every] = phase + 1
                 self.outgoing.append(topic)
@@ -315,20 +310,13 @@ class RosSession:
     def _made(
         self,
         spec: TopicSpec,
-        direction: str,
         build: Callable[[Any], Decoder | Encoder],
         make: Callable[..., Any],
     ) -> Any:
         """Return the topic of an entry; None where it is left out."""
-        message = compat.bytes_class(spec.type, spec.messages)
+        message = message_class(spec)
         if message is None:
-            remedy = f"install the ROS package {spec.type.split('/')[0]}"
-            if not spec.optional:
-                raise UniconError(
-                    f"{spec.where or spec.topic}: cannot {direction} topic {spec.topic!r}: the "
-                    f"type {spec.type} is not installed; {remedy}, or say optional: true"
-                )
-            self._skip(spec, f"type {spec.type} is not installed ({remedy})")
+            self._skip(spec, f"type {spec.type} is not installed ({installing(spec)})")
             return None
         try:
             codec = build(spec)
