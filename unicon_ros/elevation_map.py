@@ -37,6 +37,7 @@ from unicon_ros.bridge.map_fit import message_class
 from unicon_ros.bridge.own_node import OwnNode, calm_middleware_threads
 from unicon_ros.bridge.qos import LATCHED, LATEST
 from unicon_ros.bridge.topics import TopicIn
+from unicon_ros.peripheral import Stale
 
 MOST_CELLS = 128
 """Along each side: to fill the holes of 80 x 80 cells takes 0.3 ms, of so many 1 ms."""
@@ -49,7 +50,6 @@ OPTICAL = (0.5, -0.5, 0.5, -0.5)
 
 Size = Annotated[float, Within(0.2, 20.0, "m")]
 Resolution = Annotated[float, Within(0.02, 1.0, "m")]
-Stale = Annotated[float, positive(10.0, "s")]
 OnStale = Literal["fault", "last"]
 
 

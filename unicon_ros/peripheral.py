@@ -17,9 +17,10 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from unicon_base import AnyDict, AnyMapping, Fault, TextSink, UniconError
+from unicon_base.schema.marks import positive
 from unicon_core.flow import Block, Stage
 from unicon_core.handles import FrameRing
 from unicon_core.platforms.child.pipe import Pipe
@@ -42,6 +43,11 @@ CLOSING = 2.0
 FIRST, LONGEST = 1.0, 30.0
 """Shortest and longest wait before a process that has died is started again, in [s]; it doubles
 with each process that has not lived for the longest one."""
+
+Count = Annotated[int, positive()]
+"""Of pixels, or of pictures a second."""
+Stale = Annotated[float, positive(10.0, "s")]
+"""So long nothing may come, in [s]."""
 
 
 def short(text: str, room: int) -> str:
@@ -77,27 +83,6 @@ def peripheral_states(
     }
 
 
-def check_positive(name: str, **options: float) -> None:
-    """Refuse options of a peripheral that are not more than 0.
-
-    Raises:
-        UniconError: one is not.
-    """
-    for label, value in options.items():
-        if not value > 0:
-            raise UniconError(f"{name}: {label} is {value:g}; give more than 0")
-
-
-def check_stale(name: str, stale: float) -> None:
-    """Refuse a time of silence that is none, or that nobody would wait for.
-
-    Raises:
-        UniconError: it is.
-    """
-    if not 0.0 < stale <= 10.0:
-        raise UniconError(f"{name}: stale is {stale:g}; give more than 0 and at most 10 s")
-
-
 def peripheral_block(
     context: BuildContext,
     name: str,
@@ -130,7 +115,6 @@ def peripheral_block(
     Raises:
         UniconError: what the process says when it cannot begin.
     """
-    check_stale(name, stale)
     frames = frames or {}
     names = (*peripheral_states(name, {}, frames), *values)
     if context.dry:

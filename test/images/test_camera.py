@@ -247,8 +247,11 @@ def test_what_is_not_in_the_model_is_one_line(
     ("where", "message"),
     [
         ("{far: 3}", r"camera: give either camera: NAME of the model, or body: NAME to mount"),
-        ("{body: base_link, reliability: sure}", r"camera: reliability 'sure'"),
-        ("{body: base_link, fovy: 0}", r"camera: fovy is 0; give more than 0"),
+        (
+            "{body: base_link, reliability: sure}",
+            r"camera'.*: reliability 'sure' is not known; .*reliable",
+        ),
+        ("{body: base_link, fovy: 0}", r"camera'.*: fovy is 0; write a number above 0 \[°\]"),
     ],
 )
 def test_what_is_wrong_is_one_line(write: Callable[..., Path], where: str, message: str) -> None:

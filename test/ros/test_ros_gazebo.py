@@ -157,7 +157,9 @@ def test_an_option_that_ros_would_refuse_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "stand.yaml"
     path.write_text(WORKFLOW.replace("connect: 15.0", "connect: 0").replace("MAP", "gazebo"))
     path.write_text(path.read_text().replace("RATE", "50"))
-    with pytest.raises(PlatformError, match=r"^platform 'gazebo': connect is 0 s; give a time"):
+    with pytest.raises(
+        PlatformError, match=r"^platform 'gazebo': connect is 0; write a number above 0 \[s\]"
+    ):
         load_workflow(path)
 
 

@@ -26,16 +26,16 @@ from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.bridge.bindings import checked_prefix
 from unicon_ros.bridge.images import (
-    RELIABILITIES,
     CameraTopics,
     FrameMessage,
+    Reliability,
     frame_message,
     info_message,
     large_data,
     rays,
     topic_options,
 )
-from unicon_ros.peripheral import check_positive, peripheral_block, peripheral_states
+from unicon_ros.peripheral import Count, Stale, peripheral_block, peripheral_states
 from unicon_ros.peripheral_process import SLICE, Feed, Gone, end, serve
 
 PROCESS = "unicon_hardware.peripherals.realsense"
@@ -46,15 +46,15 @@ def realsense(
     context: BuildContext,
     prefix: str = "realsense",
     serial: str = "",
-    width: int = 640,
-    height: int = 480,
-    rate: int = 30,
+    width: Count = 640,
+    height: Count = 480,
+    rate: Count = 30,
     aligned: bool = False,
     cloud: bool = False,
     topic: str = "",
     frame_prefix: str = "",
-    stale: float = 0.3,
-    reliability: str = RELIABILITIES[0],
+    stale: Stale = 0.3,
+    reliability: Reliability = "reliable",
     node: str = "",
     namespace: str | None = None,
     ros_args: Sequence[str] = (),
@@ -85,7 +85,6 @@ def realsense(
         MissingDependencyError: pyrealsense2 is not installed, or rclpy where there is a topic.
     """
     name = prefix
-    check_positive(name, width=width, height=height, rate=rate)
     options = {
         "serial": str(serial),
         "size": [int(width), int(height)],
@@ -94,7 +93,7 @@ def realsense(
         "cloud": bool(cloud),
         "topic": topic,
         "frame_prefix": checked_prefix(frame_prefix),
-        "ros": topic_options(name, node or name, namespace, ros_args, reliability),
+        "ros": topic_options(node or name, namespace, ros_args, reliability),
         "device": device,
     }
     return peripheral_block(

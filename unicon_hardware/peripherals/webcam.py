@@ -14,27 +14,28 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from unicon_base import AnyDict, UniconError, alternatives
 from unicon_base.arrays import UInt8
+from unicon_base.schema.marks import positive
 from unicon_core.flow import Block
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 from unicon_hardware.peripherals.v4l2 import Capture, Frame, Kernel
 from unicon_ros.bridge.bindings import checked_prefix
 from unicon_ros.bridge.images import (
-    RELIABILITIES,
     CameraTopics,
     FrameMessage,
+    Reliability,
     frame_message,
     jpeg_message,
     large_data,
     topic_options,
 )
-from unicon_ros.peripheral import check_positive, peripheral_block, peripheral_states
+from unicon_ros.peripheral import Count, Stale, peripheral_block, peripheral_states
 from unicon_ros.peripheral_process import SLICE, Feed, Gone, end, serve
 
 PROCESS = "unicon_hardware.peripherals.webcam"
@@ -49,13 +50,13 @@ def webcam(
     prefix: str = "webcam",
     device: str = "auto",
     format: str = "yuyv",
-    width: int = 640,
-    height: int = 480,
-    rate: float = 30.0,
+    width: Count = 640,
+    height: Count = 480,
+    rate: Annotated[float, positive(unit="Hz")] = 30.0,
     topic: str = "",
     frame_prefix: str = "",
-    stale: float = 0.3,
-    reliability: str = RELIABILITIES[0],
+    stale: Stale = 0.3,
+    reliability: Reliability = "reliable",
     node: str = "",
     namespace: str | None = None,
     ros_args: Sequence[str] = (),
@@ -86,7 +87,6 @@ def webcam(
         MissingDependencyError: rclpy is not installed, and there is a topic.
     """
     name = prefix
-    check_positive(name, width=width, height=height, rate=rate)
     if format not in FORMATS:
         raise UniconError(f"{name}: format {format!r}; {alternatives(format, FORMATS)}")
     if format == "yuyv" and width % 2:
@@ -100,7 +100,7 @@ def webcam(
         "rate": float(rate),
         "topic": topic,
         "frame_id": f"{checked_prefix(frame_prefix)}{name}_optical_frame",
-        "ros": topic_options(name, node or name, namespace, ros_args, reliability),
+        "ros": topic_options(node or name, namespace, ros_args, reliability),
         "system": system,
     }
     return peripheral_block(

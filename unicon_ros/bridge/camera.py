@@ -25,12 +25,13 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from unicon_base import AnyDict, ModelError, UniconError
 from unicon_base.arrays import Array, Float32
+from unicon_base.schema.marks import positive
 from unicon_core.handles import FrameRing
 from unicon_core.models.camera import ModelCamera
 from unicon_core.models.find import find_model, model_of, terrain_of
@@ -42,15 +43,15 @@ from unicon_core.terrain.words import Terrain
 from unicon_core.workflow.autowire import BuildContext
 from unicon_ros.bridge.bindings import checked_prefix
 from unicon_ros.bridge.images import (
-    RELIABILITIES,
     CameraTopics,
+    Reliability,
     frame_message,
     info_message,
     large_data,
     rays,
     topic_options,
 )
-from unicon_ros.peripheral import Peripheral, check_positive, check_stale, peripheral_states
+from unicon_ros.peripheral import Count, Peripheral, Stale, peripheral_states
 from unicon_ros.peripheral_process import SLICE, Feed, end, serve
 
 PROCESS = "unicon_ros.bridge.camera"
@@ -145,18 +146,18 @@ def camera(
     camera: str | None = None,
     body: str | None = None,
     position: Sequence[float] = (0.0, 0.0, 0.0),
-    fovy: float = 60.0,
+    fovy: Annotated[float, positive(unit="°")] = 60.0,
     model: str | None = None,
-    width: int = 320,
-    height: int = 240,
+    width: Count = 320,
+    height: Count = 240,
     far: float = 20.0,
-    rate: float = 10.0,
+    rate: Annotated[float, positive(unit="Hz")] = 10.0,
     topic: str = "camera/image_raw",
     frame_id: str = "",
     frame_prefix: str = "",
     handle: str = "camera_handle",
-    stale: float = STALE,
-    reliability: str = RELIABILITIES[0],
+    stale: Stale = STALE,
+    reliability: Reliability = "reliable",
     node: str = "camera",
     namespace: str | None = None,
     ros_args: Sequence[str] = (),
@@ -194,9 +195,6 @@ def camera(
         raise UniconError("camera: one robot is rendered; leave num_robots out")
     if (camera is None) == (body is None):
         raise UniconError("camera: give either camera: NAME of the model, or body: NAME to mount")
-    check_positive("camera", width=width, height=height, rate=rate, fovy=fovy)
-    check_stale("camera", stale)
-    ros = topic_options("camera", node, namespace, ros_args, reliability)
     if (own := handle.removesuffix("_handle")) in ("", handle):
         raise UniconError(f"camera: handle {handle!r}; give NAME_handle, such as front_handle")
     path = find_model(model, context.relative_to) if model else model_of(platform, robot)
@@ -218,7 +216,7 @@ def camera(
         "topic": topic,
         "frame_id": checked_prefix(frame_prefix) + (frame_id or f"{name}_optical_frame"),
         "frame_prefix": frame_prefix,
-        "ros": ros,
+        "ros": topic_options(node, namespace, ros_args, reliability),
     }
     every = max(1, round(1.0 / (rate * context.period)))
     return Camera(context, own, every, stale, options)

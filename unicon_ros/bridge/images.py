@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -245,8 +245,8 @@ def _with_data(
     return FrameMessage(kind, template, offset, shape, dtype, frame_id)
 
 
-RELIABILITIES = ("reliable", "best_effort")
-"""Of a camera's topics; the first is the default."""
+Reliability = Literal["reliable", "best_effort"]
+"""Of a camera's topics."""
 
 DEPTH = 2
 """Pictures that are kept for a reader that is late."""
@@ -309,7 +309,7 @@ class CameraTopics:
             return f"theirs: {' and '.join(others)}" if others else ""
 
         remedy = "set {policy} of the camera, or the peer's"
-        if self._qos.reliability == RELIABILITIES[0]:
+        if self._qos.reliability == "reliable":
             remedy = "set the peer's {policy}"
         events = QosEvents(
             name, self._qos, "publisher", lambda: count, self._tell, remedy=remedy, theirs=theirs
@@ -356,23 +356,16 @@ class CameraTopics:
 
 
 def topic_options(
-    what: str, node: str, namespace: str | None, ros_args: Sequence[str], reliability: str
+    node: str, namespace: str | None, ros_args: Sequence[str], reliability: Reliability
 ) -> AnyDict:
     """Return the options of a camera's topics, as `CameraTopics` takes them.
 
     Args:
-        what: the camera, for messages.
         node: name of the process's node.
         namespace: of that node.
         ros_args: ROS arguments of that node, such as remaps.
-        reliability: one of RELIABILITIES.
-
-    Raises:
-        UniconError: an unknown reliability.
+        reliability: of its topics.
     """
-    if reliability not in RELIABILITIES:
-        choices = alternatives(reliability, RELIABILITIES)
-        raise UniconError(f"{what}: reliability {reliability!r}; {choices}")
     return {
         "node": node,
         "namespace": namespace,

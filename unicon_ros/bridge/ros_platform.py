@@ -22,7 +22,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from unicon_base import (
     UniconError,
 )
 from unicon_base.resources import find_config
+from unicon_base.schema.marks import Within, positive
 from unicon_core.blocks.maps import projected_gravity
 from unicon_core.platforms.kit.command import (
     DAMPING_TIME,
@@ -350,8 +351,8 @@ def maker(kind: type[RosPlatform], own_map: str, patience: float) -> Callable[..
         node_name: str = "unicon_platform",
         namespace: str | None = None,
         ros_args: Sequence[str] = (),
-        connect: float = patience,
-        damping: float = DAMPING_TIME,
+        connect: Annotated[float, positive(unit="s")] = patience,
+        damping: Annotated[float, Within(0.0, LONGEST_DAMPING, "s")] = DAMPING_TIME,
         relative_to: Path | None = None,
         silent: bool = False,
     ) -> RosPlatform:
@@ -375,10 +376,6 @@ def maker(kind: type[RosPlatform], own_map: str, patience: float) -> Callable[..
             PlatformError: the map does not fit, or no message came in time.
         """
         path = find_config("maps", map, error=PlatformError, relative_to=relative_to)
-        if not 0.0 < connect < float("inf"):
-            raise PlatformError(f"{name}: connect is {connect:g} s; give a time above 0")
-        if not 0.0 <= damping <= LONGEST_DAMPING:
-            raise PlatformError(f"{name}: damping is {damping:g} s; give 0 to {LONGEST_DAMPING}")
         own = OwnNode(node_name, namespace, ros_args)
         try:
             platform = kind(states, robot, period, path, own, connect, damping, silent)

@@ -19,7 +19,7 @@ from unicon_core.flow import Block
 from unicon_core.states import StateSpec
 from unicon_core.workflow.autowire import BuildContext
 from unicon_hardware.peripherals.livox.cloud import livox_message
-from unicon_ros.bridge.images import RELIABILITIES, large_data, topic_options
+from unicon_ros.bridge.images import Reliability, large_data, topic_options
 from unicon_ros.peripheral import peripheral_block, peripheral_states
 
 MODULE = "unicon_hardware.peripherals.livox.process"
@@ -40,7 +40,7 @@ def livox(
     frame_id: str = "livox_frame",
     prefix: str = "livox",
     topic: str = "",
-    reliability: str = RELIABILITIES[0],
+    reliability: Reliability = "reliable",
     node: str = "",
     namespace: str | None = None,
     ros_args: Sequence[str] = (),
@@ -90,7 +90,7 @@ def livox(
         "silence": silence,
         "frame_id": frame_id,
         "topic": topic,
-        "ros": topic_options("livox", node or prefix, namespace, ros_args, reliability),
+        "ros": topic_options(node or prefix, namespace, ros_args, reliability),
     }
     return peripheral_block(
         context,
