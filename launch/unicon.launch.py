@@ -26,22 +26,13 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from unicon_ros.parameter_table import AT_CONFIGURE, AT_ONCE
+from unicon_ros.parameter_table import AT_CONFIGURE, AT_ONCE, LAUNCH
 
 WORKFLOW = "go2_stand"
 """What runs where neither `workflow` nor `params_file` says it."""
-OWN = {
-    "name": ("unicon", "name of the node"),
-    "namespace": ("", "namespace of the node and of its topics"),
-    "params_file": ("", "file with the node's parameters; arguments that are given go before it"),
-    "use_sim_time": ("", "follow /clock; a simulator in the workflow publishes it itself"),
-    "end_with_launch": ("true", "the node damps and ends when this launch ends"),
-    "rviz": ("false", "open RViz with the robot, its frames and its odometry"),
-    "remap": ("", "remaps as from:=to, separated by spaces"),
-}
 DECLARED = (*AT_CONFIGURE, *AT_ONCE)
 PARAMETERS = {name: default for name, default, _ in DECLARED} | {"use_sim_time": False}
-ARGUMENTS = {name: ("", what) for name, _, what in DECLARED} | OWN
+ARGUMENTS = {name: ("", what) for name, _, what in DECLARED} | LAUNCH
 """Name to default and description; an empty text is not given."""
 LAUNCH_OWN = ("launch-prefix", "launch-prefix-filter")
 RVIZ_CONFIG = Path(__file__).resolve().parent.parent / "config" / "rviz" / "unicon.rviz"

@@ -39,6 +39,8 @@ DECLARED = (
     *AT_ONCE,
 )
 
+LAUNCH: dict[str, tuple[str, str]] = {name: tuple(row) for name, row in _TABLE["launch"].items()}
+"""Argument of the launch file, besides these, to default and description."""
 RANGES: dict[str, list[float]] = _TABLE["ranges"]
 """Smallest and largest value of a number."""
 SCALES = ("stiffness_scale", "damping_scale")
