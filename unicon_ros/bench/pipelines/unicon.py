@@ -16,7 +16,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import yaml
 
+from unicon_base.located_yaml import read_yaml
 from unicon_core.blocks.postures import JointCommand
 from unicon_core.flow import Block, Stage
 from unicon_core.platforms.platform import Facts
@@ -25,7 +27,7 @@ from unicon_core.runtime import Runner
 from unicon_core.states import States
 from unicon_core.states.standard import JOINT_STATES
 from unicon_core.workflow import HookBlocks, Program, load_workflow
-from unicon_ros.bench.pipelines.log import COMMAND, IMU, MIRROR, STATE, Log, arguments
+from unicon_ros.bench.pipelines.log import COMMAND, IMU, MIRROR, STATE, Log, arguments, joint_names
 from unicon_ros.bridge import RosSession
 
 
@@ -66,29 +68,6 @@ IDENTITY = "{copy: {source: joint_pos, target: joint_pos_target}}"
 
 HELD = 60
 """Longest time that a pipeline is held between its turns in [s], so that it is not a fault."""
-
-_JOINT = (
-    "{{name: joint_{i}, lower: -3.0, upper: 3.0, velocity: 20.0, effort: 50.0, default: 0.0, "
-    "rest: 0.0, stiffness: 50.0, damping: 1.0}}"
-)
-
-_ROBOT = """\
-schema: unicon.robot/1
-name: bench_robot
-description: A robot of the benchmark
-manufacturer: none
-kind: humanoid
-models: {{}}
-base_frame: base_link
-joints:
-{joints}
-imu: {{frame: imu_link, position: [0, 0, 0], quat: [1, 0, 0, 0]}}
-feet: []
-transport: {{protocol: none}}
-sources: {{joints: made up, gains: made up, default: made up, rest: made up, imu: made up,
-          transport: made up}}
-unknown: [feet]
-"""
 
 
 def write_local(
@@ -189,8 +168,10 @@ start: none
 
 
 def _written(folder: Path, joints: int, workflow: str, topics: str) -> tuple[Path, Path]:
-    rows = "\n".join(f"  - {_JOINT.format(i=i)}" for i in range(joints))
-    (folder / "bench_robot.yaml").write_text(_ROBOT.format(joints=rows), "utf-8")
+    robot = read_yaml(Path(__file__).with_name("bench_robot.yaml")).value
+    (joint,) = robot["joints"]
+    robot["joints"] = [joint | {"name": name} for name in joint_names(joints)]
+    (folder / "bench_robot.yaml").write_text(yaml.safe_dump(robot), "utf-8")
     paths = folder / "workflow.yaml", folder / "robot.yaml"
     for path, text in zip(paths, (workflow, topics)):
         path.write_text(text, "utf-8")
