@@ -49,10 +49,10 @@ def qos(best_effort: bool, depth: int = 1) -> QoSProfile:
 class PlainRobot(Node):
     """Publishes JointState and Imu by a timer and receives commands in a callback."""
 
-    def __init__(self, joints: int, state_rate: float, best_effort: bool, log: Log) -> None:
+    def __init__(self, options: argparse.Namespace, log: Log) -> None:
         super().__init__("robot")
-        self.log = log
-        profile = qos(best_effort)
+        self.log, joints = log, options.joints
+        profile = qos(options.best_effort)
         self.state_out = self.create_publisher(JointState, STATE, profile)
         self.imu_out = self.create_publisher(Imu, IMU, profile)
         zeros = array("d", [0.0] * joints)
@@ -60,7 +60,7 @@ class PlainRobot(Node):
         self.state.name = joint_names(joints)
         self.imu = Imu()
         self.create_subscription(JointState, COMMAND, self.on_command, profile)
-        self.create_timer(1.0 / state_rate, self.on_timer)
+        self.create_timer(1.0 / options.state_rate, self.on_timer)
 
     def on_timer(self) -> None:
         now = time.time_ns()
@@ -78,12 +78,12 @@ class PlainRobot(Node):
 class Controller(Node):
     """Keeps the latest state and answers it when `send` is called; `log` gets the commands."""
 
-    def __init__(self, joints: int, best_effort: bool, log: Log, depth: int = 1) -> None:
+    def __init__(self, options: argparse.Namespace, log: Log, depth: int = 1) -> None:
         super().__init__("controller")
         self.log = log
-        profile = qos(best_effort, depth)
+        profile = qos(options.best_effort, depth)
         self.command_out = self.create_publisher(JointState, COMMAND, profile)
-        self.command = JointState(name=joint_names(joints))
+        self.command = JointState(name=joint_names(options.joints))
         self.state: Any = None
         self.imu: Any = None
         self.seen_ns = 0
@@ -109,21 +109,21 @@ class Controller(Node):
 
 
 class PlainController(Controller):
-    """Answers by a timer, or with every n-th state.
+    """Answers by a timer, or, `triggered`, with every n-th state in its callback.
 
     Args:
-        every: answer every n-th state in its callback; 0: by a timer.
+        options: of the pipeline.
         log: gets the commands.
         heard: gets all states.
     """
 
-    def __init__(
-        self, joints: int, rate: float, every: int, best_effort: bool, log: Log, heard: Log
-    ) -> None:
-        super().__init__(joints, best_effort, log)
-        self.heard, self.every, self.states = heard, every, 0
-        if not every:
-            self.create_timer(1.0 / rate, self.send)
+    def __init__(self, options: argparse.Namespace, log: Log, heard: Log) -> None:
+        super().__init__(options, log)
+        self.heard, self.every, self.states = heard, 0, 0
+        if options.variant == "triggered":
+            self.every = round(options.state_rate / options.rate)
+        else:
+            self.create_timer(1.0 / options.rate, self.send)
 
     def on_state(self, state: Any) -> None:
         super().on_state(state)
@@ -140,14 +140,14 @@ class PlainMirror(Node):
     no second topic, a message that is filled anew.
     """
 
-    def __init__(self, joints: int, state_rate: float, best_effort: bool, log: Log) -> None:
+    def __init__(self, options: argparse.Namespace, log: Log) -> None:
         super().__init__("controller")
         self.log = log
-        self.out = self.create_publisher(JointState, MIRROR, qos(best_effort))
-        self.message = JointState(name=joint_names(joints))
-        self.driver = np.zeros((3, joints), np.float32)
+        self.out = self.create_publisher(JointState, MIRROR, qos(options.best_effort))
+        self.message = JointState(name=joint_names(options.joints))
+        self.driver = np.zeros((3, options.joints), np.float32)
         self.states = np.zeros_like(self.driver)
-        self.create_timer(1.0 / state_rate, self.on_timer)
+        self.create_timer(1.0 / options.state_rate, self.on_timer)
 
     def on_timer(self) -> None:
         now = time.time_ns()
@@ -166,10 +166,10 @@ class PlainObserver(Node):
     Its executor alone takes longer than the message's way to it.
     """
 
-    def __init__(self, best_effort: bool, log: Log) -> None:
+    def __init__(self, options: argparse.Namespace, log: Log) -> None:
         super().__init__("observer")
         self.log = log
-        self.create_subscription(JointState, MIRROR, self.on_message, qos(best_effort))
+        self.create_subscription(JointState, MIRROR, self.on_message, qos(options.best_effort))
 
     def on_message(self, message: Any) -> None:
         received = time.time_ns()
@@ -223,26 +223,24 @@ def _send_beside(executor: Any, node: Controller, period: float, stop: Stop) -> 
 
 def _nodes(options: argparse.Namespace) -> tuple[list[Node], list[Log]]:
     """Return the nodes of a variant, and their logs."""
-    joints, state_rate, best_effort = options.joints, options.state_rate, options.best_effort
     received, published = Log(options.out, "stamp", "received"), Log(options.out, "begin", "end")
     if options.variant == "mirror":
-        return [PlainMirror(joints, state_rate, best_effort, published)], [published]
+        return [PlainMirror(options, published)], [published]
     if options.variant == "observer":
-        return [PlainObserver(best_effort, received)], [received]
+        return [PlainObserver(options, received)], [received]
     nodes: list[Node] = []
     logs: list[Log] = []
     sent_file = options.out
     if options.variant in ("robot", "both"):
-        nodes.append(PlainRobot(joints, state_rate, best_effort, received))
+        nodes.append(PlainRobot(options, received))
         logs.append(received)
         sent_file = beside(options.out, "controller")
     if options.variant != "robot":
         sent = Log(sent_file, "stamp", "seen", "begin", "end")
         if options.variant == "threads":
-            return [Controller(joints, best_effort, sent, depth=10)], [sent]
+            return [Controller(options, sent, depth=10)], [sent]
         heard = Log(beside(sent_file, "heard"), "stamp", "received")
-        every = round(state_rate / options.rate) if options.variant == "triggered" else 0
-        nodes.append(PlainController(joints, options.rate, every, best_effort, sent, heard))
+        nodes.append(PlainController(options, sent, heard))
         logs += [sent, heard]
     return nodes, logs
 
