@@ -249,9 +249,9 @@ def test_what_is_not_in_the_model_is_one_line(
         ("{far: 3}", r"camera: give either camera: NAME of the model, or body: NAME to mount"),
         (
             "{body: base_link, reliability: sure}",
-            r"camera'.*: reliability 'sure' is not known; .*reliable",
+            r"camera\.yaml:8: block 'call': reliability 'sure' is not known; .* reliable",
         ),
-        ("{body: base_link, fovy: 0}", r"camera'.*: fovy is 0; write a number above 0 \[°\]"),
+        ("{body: base_link, fovy: 0}", r"block 'call': fovy is 0; write a number above 0 \[°\]"),
     ],
 )
 def test_what_is_wrong_is_one_line(write: Callable[..., Path], where: str, message: str) -> None:

@@ -14,7 +14,7 @@ import pytest
 import yaml
 from peer import Peer, wait_for
 
-from unicon_base.errors import PlatformError
+from unicon_base.errors import PlatformError, WorkflowError
 from unicon_base.resources import find_config
 from unicon_core.platforms.kit.scene import Scene
 from unicon_core.platforms.kit.start import start_of
@@ -158,7 +158,7 @@ def test_an_option_that_ros_would_refuse_is_refused(tmp_path: Path) -> None:
     path.write_text(WORKFLOW.replace("connect: 15.0", "connect: 0").replace("MAP", "gazebo"))
     path.write_text(path.read_text().replace("RATE", "50"))
     with pytest.raises(
-        PlatformError, match=r"^platform 'gazebo': connect is 0; write a number above 0 \[s\]"
+        WorkflowError, match=r"platform 'gazebo': connect is 0; write a number above 0 \[s\]"
     ):
         load_workflow(path)
 
