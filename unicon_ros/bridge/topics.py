@@ -211,8 +211,12 @@ class TopicIn:
 
     def _silent(self) -> None:
         """Nothing was accepted in this tick: only the age of what was accepted last counts."""
-        if self._timeout_ns and time.monotonic_ns() - self._at_ns > self._timeout_ns:
-            self._lapsed()
+        lapsed = self._timeout_ns and time.monotonic_ns() - self._at_ns > self._timeout_ns
+        if lapsed and not self.stale:
+            self.stale = True
+            self._warn(self.silence)
+        if lapsed and not self._holds_when_stale:
+            self.decoder.lapse()
         elif self._contested:
             self._decode(self._latest)
 
@@ -231,15 +235,6 @@ class TopicIn:
         self._take = self._again
         self._warn(f"topic {self.topic}: messages can be taken again")
         return raw
-
-    def _lapsed(self) -> None:
-        if not self.stale:
-            self.stale = True
-            self._warn(self.silence)
-        if not self._holds_when_stale:
-            self.decoder.lapse()
-        elif self._contested:
-            self._decode(self._latest)
 
     def close(self) -> None:
         """Destroy the subscription."""
