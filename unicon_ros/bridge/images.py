@@ -107,14 +107,13 @@ def frame_message(kind: str, width: int, height: int, frame_id: str) -> FrameMes
     shape = (height, width) if kind == "depth" else (height, width, 3)
     dtype = "|u1" if kind == "color" else "<f4"
     row = np.dtype(dtype).itemsize * math.prod(shape[1:])
-    size = {"header.frame_id": frame_id, "height": height, "width": width}
+    given: AnyDict = {"height": height, "width": width}
     if kind == "cloud":
-        fields = _point_fields([("x", 0, "f4"), ("y", 4, "f4"), ("z", 8, "f4")])
-        empty = _message(CLOUD, size | fields | {"point_step": 12, "row_step": row})
-        return _with_data(CLOUD, empty, row * height, shape, dtype, frame_id)
-    encoding = "rgb8" if kind == "color" else "32FC1"
-    empty = _message(IMAGE, size | {"encoding": encoding, "step": row})
-    return _with_data(IMAGE, empty, row * height, shape, dtype, frame_id)
+        given |= _point_fields([("x", 0, "f4"), ("y", 4, "f4"), ("z", 8, "f4")])
+        given |= {"point_step": 12, "row_step": row}
+        return _with_data(CLOUD, given, row * height, shape, dtype, frame_id)
+    given |= {"encoding": "rgb8" if kind == "color" else "32FC1", "step": row}
+    return _with_data(IMAGE, given, row * height, shape, dtype, frame_id)
 
 
 def cloud_message(width: int, point: np.dtype[np.void], frame_id: str) -> FrameMessage:
@@ -128,10 +127,9 @@ def cloud_message(width: int, point: np.dtype[np.void], frame_id: str) -> FrameM
     assert point.fields is not None
     fields = ((name, at, kind.str[1:]) for name, (kind, at, *_) in point.fields.items())
     size = point.itemsize * width
-    given = {"header.frame_id": frame_id, "height": 1, "width": width, "row_step": size}
-    given |= _point_fields(sorted(fields, key=lambda field: field[1]))
-    empty = _message(CLOUD, given | {"point_step": point.itemsize})
-    return _with_data(CLOUD, empty, size, (width,), point, frame_id)
+    given = _point_fields(sorted(fields, key=lambda field: field[1]))
+    given |= {"height": 1, "width": width, "row_step": size, "point_step": point.itemsize}
+    return _with_data(CLOUD, given, size, (width,), point, frame_id)
 
 
 def jpeg_message(most: int, frame_id: str) -> FrameMessage:
@@ -232,13 +230,14 @@ def _point_fields(fields: Iterable[tuple[str, int, str]]) -> dict[str, object]:
 
 def _with_data(
     kind: str,
-    empty: bytes,
+    given: AnyDict,
     size: int,
     shape: tuple[int, ...],
     dtype: str | np.dtype[np.void],
     frame_id: str,
 ) -> FrameMessage:
-    """Return the layout of a message with data of some bytes, from one without."""
+    """Return the layout of a message with data of some bytes, and with values by path."""
+    empty = _message(kind, given | {"header.frame_id": frame_id})
     behind = kind == CLOUD  # is_dense: no, points that are too far or not there are NaN
     offset = len(empty) - behind
     template = empty[: offset - 4] + struct.pack("<I", size) + bytes(size + behind)
