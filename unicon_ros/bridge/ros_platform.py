@@ -111,20 +111,19 @@ class RosPlatform:
         self._period, self._patience, self._damping = period, connect, damping
         mapping = load_map(path, heard=LATEST)
         # Silence is a fault here; zeros in its place would be commanded by the last damping.
-        heard = [
-            replace(spec, on_timeout="hold", timeout=spec.timeout or TIMEOUT)
-            for spec in mapping.subscribe
-        ]
+        heard = (
+            replace(each, on_timeout="hold", timeout=each.timeout or TIMEOUT)
+            for each in mapping.subscribe
+        )
         rows = [states[name] for name in COMMAND_STATES]
+        self._measured = [states[name] for name in MEASURED]
         self._servo = Servo(rows, robot.effort_limit)
         decoders, encoders = robot_codecs(
             replace(mapping, subscribe=tuple(heard)), states, robot, self._servo.torque
         )
         group = compat.polled_group()
-        self._warnings: list[str] = []
-        self.incoming: list[TopicIn] = []
-        self.outgoing: list[TopicOut] = []
-        self._awaited: list[str] = []
+        self.incoming, self.outgoing = list[TopicIn](), list[TopicOut]()
+        self._warnings, self._awaited = list[str](), list[str]()
         warn = self._warnings.append
         for decoder in decoders:
             message = message_class(decoder.spec)
@@ -270,7 +269,7 @@ class RosPlatform:
         """
         self._finite()
         if self._torques:
-            self._servo(*(self._states[name] for name in MEASURED))
+            self._servo(*self._measured)
         for out in self.outgoing:
             out.tick()
             if out.failing >= SEND_FAILURES:
@@ -308,7 +307,7 @@ class RosPlatform:
         if self._torques:
             for topic in self.incoming:
                 topic.poll()
-            self._servo(*(self._states[name] for name in MEASURED))
+            self._servo(*self._measured)
             if any(topic.stale for topic in self._needed):
                 self._servo.torque[...] = 0.0  # nothing damps a robot that is not seen
         self._states["stamp_ns"][...] += round(self._period * 1e9)  # or a reader takes it for old
@@ -379,11 +378,10 @@ def maker(kind: type[RosPlatform], own_map: str, patience: float) -> Callable[..
         own = OwnNode(node_name, namespace, ros_args)
         try:
             platform = kind(states, robot, period, path, own, connect, damping, silent)
-        except MissingDependencyError:
-            own.close()
-            raise
         except UniconError as error:
             own.close()
+            if isinstance(error, MissingDependencyError):
+                raise
             raise PlatformError(f"{name}: {error}") from error
         try:
             platform.connect()
