@@ -1,4 +1,4 @@
-"""The table of unicon_node's parameters, and how they are declared; the table needs no ROS.
+"""Tables of unicon_node's parameters and services, and how parameters are declared.
 
 For the node, sessions, launch files and documents. Integers are numbers, lists may be empty.
 """
@@ -41,6 +41,8 @@ DECLARED = (
 
 LAUNCH: dict[str, tuple[str, str]] = {name: tuple(row) for name, row in _TABLE["launch"].items()}
 """Argument of the launch file, besides these, to default and description."""
+SERVICES: dict[str, str] = _TABLE["services"]
+"""Each `~/<name>` of type std_srvs/srv/Trigger, and what it does."""
 RANGES: dict[str, list[float]] = _TABLE["ranges"]
 """Smallest and largest value of a number."""
 SCALES = ("stiffness_scale", "damping_scale")

@@ -146,7 +146,7 @@ def test_every_topic_of_the_default_map_is_in_the_table_with_its_type() -> None:
 
 
 def test_the_table_of_services_is_that_of_the_code() -> None:
-    from unicon_ros.bridge.services import SERVICES
+    from unicon_ros.parameter_table import SERVICES
 
     rows = re.findall(r"^\| `~/(\w+)` \| (.*) \|$", text_of("docs/reference/ros.md"), re.MULTILINE)
     assert dict(rows) == SERVICES

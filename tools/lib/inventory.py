@@ -95,8 +95,7 @@ def documents() -> Iterator[str]:
 
 
 def ros() -> Iterator[str]:
-    from unicon_ros.bridge.services import SERVICES
-    from unicon_ros.parameter_table import DECLARED
+    from unicon_ros.parameter_table import DECLARED, SERVICES
 
     yield from (f"service {name}" for name in SERVICES)
     yield from (f"parameter {name} {default!r}" for name, default, _ in DECLARED)

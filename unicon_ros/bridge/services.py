@@ -141,20 +141,6 @@ class Controls:
         self.paused = False
 
 
-SERVICES = {
-    "start": "the operator's go; continues after a pause; configures and activates an idle node",
-    "stop": "ends the run after the current tick: shutdown sequence, then damping",
-    "estop": "stops before the next command, damps, counts as a fault, and latches",
-    "clear_estop": "clears that latch after the run has ended",
-    "reset": "resets a simulator and the flow",
-    "pause": "pauses a simulator until `~/start` or `~/step`",
-    "step": "runs one tick of a paused simulator",
-    "swap": "lets the policy under `shadow:` drive, and the first one again",
-    "list_states": "returns the JSON of `~/layout`",
-}
-"""Each `~/<name>`, and what it does."""
-
-
 def add_services(
     node: Any, handlers: dict[str, Callable[[], Answer]], warn: Callable[[str], object]
 ) -> list[Any]:

@@ -42,8 +42,9 @@ from unicon_ros.bridge.map_fit import contested_states, installing, message_clas
 from unicon_ros.bridge.own_node import OwnNode, calm_middleware_threads
 from unicon_ros.bridge.robot_frames import RobotFrames
 from unicon_ros.bridge.ros_platform import RosPlatform
-from unicon_ros.bridge.services import SERVICES, Controls, SlackServer, add_services, skill_handlers
+from unicon_ros.bridge.services import Controls, SlackServer, add_services, skill_handlers
 from unicon_ros.bridge.topics import TopicIn, TopicOut
+from unicon_ros.parameter_table import SERVICES
 
 if TYPE_CHECKING:
     from unicon_ros.bridge.trajectories import Trajectories

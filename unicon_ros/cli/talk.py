@@ -129,7 +129,7 @@ def _call(arguments: argparse.Namespace) -> int:
     from std_srvs.srv import Trigger
 
     from unicon_ros.bridge.own_node import OwnNode
-    from unicon_ros.bridge.services import SERVICES
+    from unicon_ros.parameter_table import SERVICES
 
     given = arguments.service.removeprefix("~/")
     name = given if given.startswith("/") else f"/unicon/{given}"
