@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 from unicon_base import UniconError, one_line
 from unicon_core.non_blocking_writer import open_standard_files, relayed_stderr
@@ -40,12 +41,7 @@ def main(args: Sequence[str] | None = None) -> int:
 def _main(arguments: list[str]) -> int:
     try:
         rclpy = compat.import_rclpy("unicon_node")
-        try:
-            own = rclpy.utilities.remove_ros_args(["unicon_node", *arguments])[1:]
-        except Exception as error:
-            raise UniconError(
-                f"{one_line(error).split(', at /')[0]}; correct the arguments after --ros-args"
-            ) from error
+        own = _without_ros(rclpy, arguments)
         whom = None
         if len(own) == 2 and own[0] == "--end-with":
             whom = own[1]
@@ -56,7 +52,7 @@ def _main(arguments: list[str]) -> int:
             print(f"unicon_node: unknown argument {own[0]!r}\n{USAGE}", end="", file=sys.stderr)
             return 2
         exit_with_parent(whom)
-        return _spin(arguments)
+        return _spin(rclpy, arguments)
     except Interrupted:  # while building: nothing has moved, and all is closed
         return 0
     except UniconError as error:
@@ -64,22 +60,47 @@ def _main(arguments: list[str]) -> int:
         return 1
 
 
-def _spin(arguments: list[str]) -> int:
-    from unicon_ros.bridge.own_node import OwnNode
+def _without_ros(rclpy: Any, arguments: list[str]) -> list[str]:
+    try:
+        return list(rclpy.utilities.remove_ros_args(["unicon_node", *arguments]))[1:]
+    except Exception as error:
+        raise _refused(error) from error
+
+
+def _refused(error: Exception) -> UniconError:
+    text = one_line(error).split(", at /")[0]
+    return UniconError(f"{text}; correct the arguments after --ros-args")
+
+
+def _spin(rclpy: Any, arguments: list[str]) -> int:
+    from unicon_ros.bridge.own_node import without_shared_memory
     from unicon_ros.node import UniconNode
     from unicon_ros.process_exit import exit_watchdog
 
-    own = OwnNode("unicon", None, arguments if "--ros-args" in arguments else (), UniconNode)
+    context = rclpy.context.Context()
+    try:
+        # Signals are the node's: SIGINT has to damp before ROS goes away.
+        no_signals = rclpy.signals.SignalHandlerOptions.NO
+        with without_shared_memory():
+            rclpy.init(args=arguments, context=context, signal_handler_options=no_signals)
+            node = UniconNode(context=context)
+    except Exception as error:
+        rclpy.try_shutdown(context=context)
+        raise _refused(error) from error
+    executor = rclpy.executors.SingleThreadedExecutor(context=context)
+    executor.add_node(node)
     status = 1
     try:
         with relayed_stderr():
-            status = int(own.node.spin(own.executor))
+            status = node.spin(executor)
         if status == 1:
-            print(f"unicon_node: error: {own.node.error}", file=sys.stderr)
+            print(f"unicon_node: error: {node.error}", file=sys.stderr)
         return status
     except Interrupted:
         status = 0
         raise
     finally:
         with exit_watchdog(status):
-            own.close()
+            executor.shutdown()
+            node.destroy_node()
+            rclpy.try_shutdown(context=context)

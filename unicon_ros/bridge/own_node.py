@@ -123,7 +123,6 @@ class OwnNode:
         name: of the node, unless `ros_args` remap it.
         namespace: of the node.
         ros_args: ROS arguments (`-r a:=b`, `-p name:=value`), with or without `--ros-args`.
-        kind: class of the node; None for rclpy's own.
 
     Attributes:
         node: the rclpy node.
@@ -135,9 +134,7 @@ class OwnNode:
         UniconError: a name or an argument is wrong.
     """
 
-    def __init__(
-        self, name: str, namespace: str | None, ros_args: Sequence[str], kind: Any = None
-    ) -> None:
+    def __init__(self, name: str, namespace: str | None, ros_args: Sequence[str]) -> None:
         rclpy = self._rclpy = compat.import_rclpy()
         arguments = list(ros_args)
         if arguments and "--ros-args" not in arguments:
@@ -151,14 +148,12 @@ class OwnNode:
                     context=self.context,
                     signal_handler_options=rclpy.signals.SignalHandlerOptions.NO,
                 )
-                make = kind or rclpy.node.Node
-                self.node: Any = make(name, namespace=namespace, context=self.context)
+                self.node: Any = rclpy.node.Node(name, namespace=namespace, context=self.context)
         except Exception as error:
             rclpy.try_shutdown(context=self.context)
-            said = one_line(error).split(", at /")[0]
             raise UniconError(
                 f"ROS 2 node {name!r} in namespace {namespace or '/'!r} with arguments "
-                f"{arguments}: {said}; correct the name, the namespace or --ros-args"
+                f"{arguments}: {one_line(error)}; correct the name, the namespace or --ros-args"
             ) from error
         self.executor: Any = rclpy.executors.SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
