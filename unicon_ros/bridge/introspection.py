@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from typing import Any
@@ -59,7 +58,8 @@ class Introspection:
         self._node, self._group, self._running = node, group, running
         self._program: Program | None = None
         self._text = ""
-        self._open = ExitStack()
+        self._latched: Any = None
+        self._debug: DebugTopic | None = None
         declare(node, INTROSPECTION)
 
     def attach(
@@ -70,47 +70,26 @@ class Introspection:
         Args:
             program: it.
             topics: of the session.
-            arrays: the states as they are published; of the first robot, where there are many.
+            arrays: the states as they are published.
 
         Raises:
-            UniconError: parameter `debug_states` names what there is not or too much, or the rate
-                is not one.
+            UniconError: parameter `debug_states` names what there is not.
         """
         from std_msgs.msg import String
 
-        node = self._node
         if self._program is program:
             return
         self.close()
         self._program = program
         self._text = layout_text(program, topics)
-        latched = node.create_publisher(String, TOPIC, qos_profile(LATCHED))
-        self._open.callback(node.destroy_publisher, latched)
-        latched.publish(String(data=self._text))
-        if chosen := [text for text in node.get_parameter("debug_states").value if text]:
-            self._publish_debug(debug_encoder(chosen, program, arrays))
-
-    def _publish_debug(self, encoder: Encoder) -> None:
-        node, rate = self._node, self._node.get_parameter("debug_rate").value
-        if not 0.0 < rate <= 100.0:
-            raise UniconError(f"parameter debug_rate is {rate!r} Hz; give 0.1 to 100")
-        message = compat.message_class(DEBUG_TYPE)
-        if message is None:
-            raise UniconError(
-                f"{PARAMETER} needs the type {DEBUG_TYPE}; install the ROS package diagnostic_msgs"
+        self._latched = self._node.create_publisher(String, TOPIC, qos_profile(LATCHED))
+        self._latched.publish(String(data=self._text))
+        chosen = [text for text in self._node.get_parameter("debug_states").value if text]
+        if chosen:
+            rate = self._node.get_parameter("debug_rate").value
+            self._debug = DebugTopic(
+                self._node, program, arrays, chosen, rate, self._group, self._running
             )
-        publisher = node.create_publisher(message, DEBUG, qos_profile(encoder.spec.qos))
-        publish, release = compat.raw_publish(publisher)
-        encoder.encode()  # the first is cold
-
-        def look() -> None:
-            if self._running() and publisher.get_subscription_count():
-                publish(encoder.encode())
-
-        timer = compat.steady_timer(node, 1.0 / rate, look, self._group)
-        self._open.callback(node.destroy_publisher, publisher)
-        self._open.callback(release)
-        self._open.callback(node.destroy_timer, timer)
 
     def list_states(self) -> Answer:
         """Answer `~/list_states`."""
@@ -118,8 +97,11 @@ class Introspection:
 
     def close(self) -> None:
         """Destroy publishers and timer; safe to call twice."""
-        self._open.close()
-        self._program = None
+        if self._debug is not None:
+            self._debug.close()
+        if self._latched is not None:
+            self._node.destroy_publisher(self._latched)
+        self._debug = self._latched = self._program = None
 
 
 def layout_text(program: Program, topics: Sequence[TopicOut | TopicIn] = ()) -> str:
@@ -169,17 +151,60 @@ def _json(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
-def debug_encoder(chosen: Sequence[str], program: Program, arrays: Arrays) -> Encoder:
-    """Return what makes the message of the debug topic.
+class DebugTopic:
+    """Publishes until it is closed.
 
     Args:
-        chosen: states, parts of them as in a map, or patterns such as `joint_*`.
+        node: rclpy node; its executor is served in the slack.
         program: whose states they are; of the first robot, where there are many.
         arrays: the states as they are published.
+        chosen: states, parts of them as in a map, or patterns such as `joint_*`.
+        rate: in [Hz].
+        group: callback group of the timer.
+        running: tells whether ticks go on.
 
     Raises:
-        UniconError: no such state or element, or too many numbers.
+        UniconError: no such state or element, too many numbers, or the rate is not one.
     """
+
+    def __init__(
+        self,
+        node: Any,
+        program: Program,
+        arrays: Arrays,
+        chosen: Sequence[str],
+        rate: float,
+        group: Any,
+        running: Callable[[], bool],
+    ) -> None:
+        if not 0.0 < rate <= 100.0:
+            raise UniconError(f"parameter debug_rate is {rate!r} Hz; give 0.1 to 100")
+        encoder = debug_encoder(chosen, program, arrays)
+        message = compat.message_class(DEBUG_TYPE)
+        if message is None:
+            raise UniconError(
+                f"{PARAMETER} needs the type {DEBUG_TYPE}; install the ROS package diagnostic_msgs"
+            )
+
+        self._encode, self._running, self._node = encoder.encode, running, node
+        self._publisher = node.create_publisher(message, DEBUG, qos_profile(encoder.spec.qos))
+        self._publish, self._release = compat.raw_publish(self._publisher)
+        self._encode()  # the first is cold
+        self._timer = compat.steady_timer(node, 1.0 / rate, self._look, group)
+
+    def _look(self) -> None:
+        if self._running() and self._publisher.get_subscription_count():
+            self._publish(self._encode())
+
+    def close(self) -> None:
+        """Destroy timer and publisher."""
+        self._node.destroy_timer(self._timer)
+        self._release()
+        self._node.destroy_publisher(self._publisher)
+
+
+def debug_encoder(chosen: Sequence[str], program: Program, arrays: Arrays) -> Encoder:
+    """Return what makes the message; arguments and errors as of `DebugTopic`."""
     names, specs = names_of(program), program.states.layout.specs
     fields = [_field("header.stamp", Reference("state", "stamp_ns"))]
     count = 0
