@@ -14,17 +14,16 @@ import select
 import socket
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from unicon_base import Fault, PlatformError
 from unicon_base.arrays import Array, Float64
-from unicon_core.platforms.kit.base import IMU_STATES
 from unicon_core.states import States
 from unicon_hardware.modes import ModeGuard
 
-__all__ = ["IMU_STATES", "Answers", "Counts", "Speed", "Udp", "Wire", "frame_type", "turned"]
+Readings: TypeAlias = Mapping[str, Array] | States
 
 
 def ahead(number: int, last: int) -> int:
@@ -209,7 +208,7 @@ class Speed:
 
 
 def turned(
-    source: Mapping[str, Array], into: Mapping[str, Array], angle: float, rate: float
+    source: Readings, into: Readings, joints: Readings, waist: int, sign: float = 1.0
 ) -> None:
     """Write the readings of an IMU above a joint about z as one below it would have them.
 
@@ -217,14 +216,16 @@ def turned(
     rate θ', torso to pelvis is a turn about z: R_pelvis = R_torso Rz(θ)ᵀ and
     ω_pelvis = Rz(θ) ω_torso - (0, 0, θ') (unitreerobotics/unitree_rl_gym
     deploy/deploy_real/common/rotation_helper.py: transform_imu_data). The accelerometer keeps its
-    place, only its axes are turned. From pelvis to torso, angle and rate are the negative ones.
+    place, only its axes are turned.
 
     Args:
         source: quaternion wxyz, angular velocity in [rad/s], specific force in [m/s²], by state.
         into: takes the same.
-        angle: of the upper to the lower body in [rad].
-        rate: its change in [rad/s].
+        joints: `joint_pos` in [rad] and `joint_vel` in [rad/s].
+        waist: number of the joint.
+        sign: -1 from below the joint to above it.
     """
+    angle, rate = (sign * float(joints[name][waist]) for name in ("joint_pos", "joint_vel"))
     c, s = math.cos(angle), math.sin(angle)
     half_c, half_s = math.cos(angle / 2), math.sin(angle / 2)
     w, x, y, z = source["base_quat"].tolist()

@@ -259,7 +259,7 @@ def test_an_answer_without_a_mode_names_none(body: str) -> None:
 
 def test_a_robot_that_leaves_custom_mode_is_a_fault(pair: Ends) -> None:
     taken_over(pair)
-    until(lambda: pair.wire._side.mode == "custom", lambda: (pair.face.tell(), pair.wire.take()))
+    until(lambda: pair.wire.mode == "custom", lambda: (pair.face.tell(), pair.wire.take()))
     pair.face.mode[...] = MODES["damping"]
     pair.face._told = 0
     with pytest.raises(Fault, match=r"has left custom mode \(it is in damping\)"):

@@ -245,6 +245,7 @@ def test_the_torso_s_imu_is_told_as_if_it_were_in_the_pelvis() -> None:
     torso = {"base_quat": quat / np.linalg.norm(quat)}
     torso |= {"base_ang_vel": rng.normal(size=3), "base_lin_acc": rng.normal(size=3)}
     angle, rate = 0.7, -1.3
+    waist = {"joint_pos": np.array([0.0, angle]), "joint_vel": np.array([0.0, rate])}
 
     def matrix(q: np.ndarray) -> np.ndarray:
         w, x, y, z = q
@@ -254,14 +255,14 @@ def test_the_torso_s_imu_is_told_as_if_it_were_in_the_pelvis() -> None:
     c, s = np.cos(angle), np.sin(angle)
     about_z = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     pelvis = {key: np.zeros_like(value) for key, value in torso.items()}
-    turned(torso, pelvis, angle, rate)
+    turned(torso, pelvis, waist, 1)
     np.testing.assert_allclose(
         matrix(pelvis["base_quat"]), matrix(torso["base_quat"]) @ about_z.T, atol=1e-12
     )
     expected = about_z @ torso["base_ang_vel"] - (0, 0, rate)
     np.testing.assert_allclose(pelvis["base_ang_vel"], expected, atol=1e-12)
     np.testing.assert_allclose(pelvis["base_lin_acc"], about_z @ torso["base_lin_acc"], atol=1e-12)
-    turned(pelvis, pelvis, -angle, -rate)
+    turned(pelvis, pelvis, waist, 1, -1.0)
     for key, value in torso.items():
         np.testing.assert_allclose(pelvis[key], value, atol=1e-12)
 

@@ -79,6 +79,11 @@ class BoosterFacts(DdsFacts):
         """Return the arrays of the messages that are not states, zero."""
         return zeros("rpy f4 3, mode i4, cmd_type u4")
 
+    def mode_name(self, number: int) -> str:
+        """Return what a mode of the robot is called, its number where that is not known."""
+        names = {value: name for name, value in self.modes.items()}
+        return names.get(number, str(number))
+
     @property
     def kind(self) -> int:
         """`cmd_type` of commands by joints."""

@@ -17,15 +17,15 @@ import numpy as np
 from unicon_base import Fault
 from unicon_base.arrays import Array
 from unicon_core.blocks.controls.device import REMOTES, Controls
-from unicon_core.platforms.kit.base import Mounting, quat_of_rpy
+from unicon_core.platforms.kit.base import IMU_STATES, Mounting, quat_of_rpy
 from unicon_core.platforms.platform import Facts
 from unicon_core.states.standard import COMMAND_STATES, CONTROL_STATES, JOINT_STATES
 from unicon_hardware.booster.codec import BoosterFacts
 from unicon_hardware.booster.takeover import Client, Takeover
 from unicon_hardware.dds.end import DdsWire, factory_of
-from unicon_hardware.dds.maps import HEADER, Arrays, command_arrays
+from unicon_hardware.dds.maps import HEADER, command_arrays
 from unicon_hardware.dds.service import Inlet
-from unicon_hardware.wire import IMU_STATES, Counts
+from unicon_hardware.wire import Counts
 from unicon_hardware.wired_robot import WiredRobot
 
 LAST = 5
@@ -41,24 +41,31 @@ class BoosterWire(DdsWire):
 
     label, extra, announced = "platform 'booster'", "hw-booster", True
     table = BoosterFacts
-    _takeover: Takeover | None = None
 
     def _built(self) -> None:
         states, robot = self._states, self._robot
         self._mounting = Mounting.of(robot)
         self._given = {name: states[name] for name in COMMAND_STATES}
         self._sent = command_arrays(robot.num_joints)
+        self._arrays |= self._sent
+        self._own["mode"][...] = -1
+        self._was_custom = False
         self._effort = robot.effort_limit[self._facts.servo].astype(np.float32)
         self._held: dict[str, Array] | None = None
         self._put = False
 
     def _open(self) -> None:
-        facts = self._facts
-        self.listen(facts.state, facts.state_in(self._arrays, self.counts))
-        self._side = SideTopics(self, facts, self._arrays, self._controls)
-        self.watch(facts.command_topic)
+        super()._open()
+        facts, arrays, counts = self._facts, self._arrays, Counts()
+        # A robot need not send any of these, and none of them counts as a sign of life.
+        self._modes = self.inlet(facts.mode, self._own, counts)
+        self._others: list[Inlet] = []
+        if {"battery_charge", "battery_voltage"} <= set(arrays):
+            self._others.append(self.inlet(facts.battery, arrays, counts))
+        if self._controls is not None:
+            remote, let_go = Remote(self._controls), self._controls.let_go
+            self._others.append(self.inlet(facts.remote, remote, counts, forget=let_go))
         if not self._silent:
-            self.speak(facts.command, self._sent)
             self._client = Client(self.participant, facts.rpc_topic)
             self._takeover = Takeover(
                 self._client, facts, lambda: self.matched, self._hold, self.label
@@ -71,13 +78,24 @@ class BoosterWire(DdsWire):
             Fault: the robot has left custom mode.
         """
         number = super().take()
-        mode = self._side.take()
-        if self._takeover is not None and self._takeover.done and mode == "another":
+        for inlet in self._others:
+            inlet.take()
+        self._modes.take()
+        custom = bool(self._own["mode"] == self._facts.modes["custom"])
+        self._was_custom |= custom
+        # Before custom mode older messages may still be on their way.
+        left = self._was_custom and not custom
+        if left and self._takeover is not None and self._takeover.done:
             raise Fault(
-                f"{self.label}: the robot has left custom mode (it is in {self._side.mode}): the "
+                f"{self.label}: the robot has left custom mode (it is in {self.mode}): the "
                 "remote or another program has taken it"
             )
         return number
+
+    @property
+    def mode(self) -> str:
+        """Name of the mode that the robot reported last, "-1" before."""
+        return str(self._facts.mode_name(int(self._own["mode"])))
 
     def _measured(self) -> None:
         states, mounting = self._states, self._mounting
@@ -121,10 +139,6 @@ class BoosterWire(DdsWire):
         sent["joint_stiffness"][servo] = 0.0
         return bool((limited != torque).any())
 
-    def prepare(self) -> str:
-        """Bring the robot into custom mode; return what is waited for, "" at the end."""
-        return "" if self._takeover is None else self._takeover()
-
     def _hold(self) -> None:
         """Send a command that holds the posture of the first call."""
         if self._held is None:
@@ -151,49 +165,6 @@ class BoosterWire(DdsWire):
                 time.sleep(0.002)
         self._client.ask(self._facts.requests["change_mode"], mode=self._facts.modes["damping"])
         time.sleep(0.002 * LAST)  # for it to leave this machine
-
-
-class SideTopics:
-    """What a T1 sends besides LowState, each on a topic of its own: mode, battery, gamepad.
-
-    A robot need not send any of it, and none of it counts as a sign of life.
-
-    Args:
-        end: on the robot's domain.
-        facts: of the robot file.
-        arrays: states; the battery's are written where they are there.
-        controls: take the gamepad; None where it is not needed.
-    """
-
-    def __init__(
-        self, end: DdsWire, facts: BoosterFacts, arrays: Arrays, controls: Controls | None
-    ) -> None:
-        counts, self._number = Counts(), np.full((), -1, np.int32)
-        self._names = {value: name for name, value in facts.modes.items()}
-        self._was_custom = False
-        self._mode = end.inlet(facts.mode, {"mode": self._number}, counts)
-        self._others: list[Inlet] = []
-        if {"battery_charge", "battery_voltage"} <= set(arrays):
-            self._others.append(end.inlet(facts.battery, arrays, counts))
-        if controls is not None:
-            remote, let_go = Remote(controls), controls.let_go
-            self._others.append(end.inlet(facts.remote, remote, counts, forget=let_go))
-
-    @property
-    def mode(self) -> str:
-        """Name of the mode that was told last, "-1" before."""
-        return self._names.get(int(self._number), str(int(self._number)))
-
-    def take(self) -> str:
-        """Take what has come; return "custom", "another" mode behind it, or "" for not known."""
-        for inlet in self._others:
-            inlet.take()
-        if self._mode.take():
-            custom = self.mode == "custom"
-            self._was_custom = self._was_custom or custom
-        if not self._was_custom:  # older ones may still be on their way
-            return ""
-        return "custom" if self.mode == "custom" else "another"
 
 
 class Remote:

@@ -110,9 +110,7 @@ class Takeover(Procedure):
     ) -> None:
         super().__init__(what)
         self._client, self._found, self._hold = client, found, hold
-        self._names = {value: name for name, value in facts.modes.items()}
-        self._custom = facts.modes["custom"]
-        self._requests = facts.requests
+        self._facts = facts
 
     def _procedure(self) -> Generator[str, None, None]:
         client = self._client
@@ -135,7 +133,9 @@ class Takeover(Procedure):
                     f"{self._what}: the robot is not in custom mode {self.timeout:g} s after it "
                     "was asked; bring it into prepare mode with the remote, and start anew"
                 )
-            yield from self._answer("change_mode", doing, hold=True, mode=self._custom)
+            yield from self._answer(
+                "change_mode", doing, hold=True, mode=self._facts.modes["custom"]
+            )
 
     def _there(self, found: Callable[[], bool], missing: str) -> Generator[str, None, bool]:
         lacking = f"{missing} is not there within {self.timeout:g} s; start the robot anew"
@@ -150,13 +150,13 @@ class Takeover(Procedure):
                 f"{self._what}: GetMode answers {body[:60]!r}, which names no mode; the robot's "
                 "firmware is another generation"
             )
-        return self._names.get(mode, str(mode))
+        return self._facts.mode_name(mode)
 
     def _answer(
         self, request: str, doing: str, *, hold: bool, **parameters: int
     ) -> Generator[str, None, str]:
         """Ask, again where an answer is lost, and return its body."""
-        client, asked = self._client, self._requests[request]
+        client, asked = self._client, self._facts.requests[request]
 
         def answer() -> tuple[int | None, str] | None:
             if hold:

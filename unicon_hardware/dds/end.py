@@ -13,8 +13,7 @@ A vendor's `DdsFacts` declare messages, modes and arrays of their own; hooks do 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -27,7 +26,7 @@ from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES, hardware_states
 from unicon_hardware.dds.maps import Arrays, Message, arrays_of, command_arrays
 from unicon_hardware.dds.participant import Participant, Writer
-from unicon_hardware.dds.service import Inlet
+from unicon_hardware.dds.service import Inlet, Procedure
 from unicon_hardware.endpoint import EmulatedModes, Endpoint
 from unicon_hardware.modes import UNDOCUMENTED, ModeGuard
 from unicon_hardware.wire import Counts, Wire
@@ -70,15 +69,18 @@ class DdsEnd:
         self._inlets: list[Inlet] = []
         self._outlets: list[tuple[Writer, Callable[[], bytes]]] = []
         self._commands: list[str] = []
-
-    @contextmanager
-    def closing(self) -> Iterator[None]:
-        """Close it where what is built inside fails."""
         try:
-            yield
+            self._open()
         except BaseException:
             self.close()
             raise
+
+    def _built(self) -> None:
+        """Make what has to be there before it opens."""
+
+    def _open(self) -> None:
+        """Begin to listen and to speak."""
+        raise NotImplementedError
 
     def inlet(self, message: Message, into: Any, counts: Counts, **how: Any) -> Inlet:
         """Return what reads a message into arrays, or with what checks and reads it."""
@@ -166,6 +168,7 @@ class DdsWire(DdsEnd, Wire):
     """
 
     settles = UNDOCUMENTED
+    _takeover: Procedure | None = None
 
     def __init__(
         self,
@@ -187,19 +190,20 @@ class DdsWire(DdsEnd, Wire):
         self._arrays = arrays_of(states) | self._own
         self._built()
         self._join(facts, facts.state_topic, domain, address)
-        with self.closing():
-            self._open()
-
-    def _built(self) -> None:
-        """Make what has to be there before it opens."""
 
     def _open(self) -> None:
-        """Begin to listen, and to speak unless `silent`."""
-        facts = self._facts
-        self.listen(facts.state, facts.state_in(self._arrays, self.counts))
-        self.watch(facts.command_topic)
+        self._listen()
+        self.watch(self._facts.command_topic)
         if not self._silent:
-            self.speak(facts.command, self._arrays)
+            self.speak(self._facts.command, self._arrays)
+
+    def _listen(self) -> None:
+        """Begin to read the state."""
+        self.listen(self._facts.state, self._facts.state_in(self._arrays, self.counts))
+
+    def prepare(self) -> str:
+        """Bring the robot to where it takes commands; return what is waited for, "" at the end."""
+        return "" if self._takeover is None else self._takeover()
 
 
 class DdsEndpoint(DdsEnd, Endpoint):
@@ -247,11 +251,6 @@ class DdsEndpoint(DdsEnd, Endpoint):
         unless = States(hardware_states(robot.joint_names))
         self._arrays = arrays_of(unless) | arrays_of(states) | self.own
         self._join(facts, facts.command_topic, domain, address)
-        with self.closing():
-            self._open()
-
-    def _built(self) -> None:
-        """Make what has to be there before it opens."""
 
     @property
     def reach(self) -> dict[str, object]:
@@ -261,7 +260,6 @@ class DdsEndpoint(DdsEnd, Endpoint):
         return {**where, "domain": at.domain}
 
     def _open(self) -> None:
-        """Begin to speak and to listen."""
         facts = self._facts
         self.speak(facts.state, self._arrays)
         self._frames = facts.command_in(self._heard, self.counts)

@@ -235,9 +235,7 @@ class DobotEndpoint(DdsEndpoint):
 
     def tell(self) -> None:
         """Send what the robot measures."""
-        states, waist = self._states, self._facts.waist
-        angle, rate = (-float(states[name][waist]) for name in ("joint_pos", "joint_vel"))
-        turned({name: states[name] for name in IMU_STATES}, self._imu, angle, rate)
+        turned(self._states, self._imu, self._states, self._facts.waist, -1.0)
         self.put()
 
     def hear(self) -> bool:

@@ -21,6 +21,7 @@ import numpy as np
 from unicon_base import Fault, PlatformError
 from unicon_base.arrays import Array
 from unicon_core.blocks.controls.device import dobot
+from unicon_core.platforms.kit.base import IMU_STATES
 from unicon_core.platforms.platform import Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
@@ -30,7 +31,7 @@ from unicon_hardware.dds.maps import Message
 from unicon_hardware.dds.participant import Participant
 from unicon_hardware.dds.service import Procedure
 from unicon_hardware.dobot.codec import DobotFacts
-from unicon_hardware.wire import IMU_STATES, turned
+from unicon_hardware.wire import turned
 from unicon_hardware.wired_robot import SILENCE, WiredRobot, opened
 
 AGAIN = 0.2
@@ -123,7 +124,7 @@ class DobotWire(DdsWire):
     """
 
     label, extra, table = "platform 'dobot'", "hw-dobot", DobotFacts
-    _takeover: Takeover | None = None
+    _takeover: Takeover | None
 
     def __init__(self, *given: Any, fsm_id: int, **options: Any) -> None:
         self._fsm_id, self._fresh, self._pairs = fsm_id, [0, 0], 0
@@ -161,17 +162,11 @@ class DobotWire(DdsWire):
         return number
 
     def _measured(self) -> None:
-        states, waist = self._states, self._facts.waist
-        angle, rate = (float(states[name][waist]) for name in ("joint_pos", "joint_vel"))
-        turned(self._imu, {name: states[name] for name in IMU_STATES}, angle, rate)
+        turned(self._imu, self._states, self._states, self._facts.waist)
         if self._controls is not None:
             dobot(self._own["remote"], self._controls)
         if self._takeover is not None:
             self._takeover.check()
-
-    def prepare(self) -> str:
-        """Let the robot's own state machine go; return what is waited for, "" at the end."""
-        return "" if self._takeover is None else self._takeover()
 
 
 LARGEST = 65535

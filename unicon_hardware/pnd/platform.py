@@ -161,15 +161,11 @@ class PndWire(DdsWire):
         self._mounting = Mounting.of(self._robot)
         self._imu = {name: self._states[name] for name in IMU_STATES}
 
-    def _open(self) -> None:
-        facts = self._facts
-        kinds = [replace(facts, battery=battery) for battery in STATES]
+    def _listen(self) -> None:
+        kinds = [replace(self._facts, battery=battery) for battery in STATES]
         self._kinds = [kind.state_in(self._arrays, self.counts) for kind in kinds]
         for kind, frames in zip(kinds, self._kinds):
             self.listen(kind.state, frames, forget=frames.forget)
-        self.watch(facts.command_topic)
-        if not self._silent:
-            self.speak(facts.command, self._arrays)
 
     def _measured(self) -> None:
         if len(self._inlets) > 1:  # from now on only that kind of LowState which the robot sends

@@ -19,6 +19,7 @@ from unicon_base.schema.marks import Within
 from unicon_core.blocks.controls.device import Controls, unitree_pressed
 from unicon_core.blocks.controls.gamepad import gamepad
 from unicon_core.bounds import within
+from unicon_core.platforms.kit.base import IMU_STATES
 from unicon_core.robots import Robot
 from unicon_core.states import States
 from unicon_core.states.standard import control_states
@@ -26,7 +27,7 @@ from unicon_core.workflow.autowire import BuildContext
 from unicon_hardware.dds.end import DdsEndpoint
 from unicon_hardware.endpoint import Milliseconds
 from unicon_hardware.unitree.facts import CHECK_MODE, RELEASE_MODE, SWITCHER, Server, UnitreeFacts
-from unicon_hardware.wire import IMU_STATES, turned
+from unicon_hardware.wire import turned
 
 MODE = "normal"
 """Of its own controller, until it lets go."""
@@ -122,12 +123,16 @@ class UnitreeEndpoint(DdsEndpoint):
         self.held: Remote | None = None
         self.asked: dict[str, list[int]] = {}
         self.clock = Milliseconds(TICK_MS)
+        self._device, self._robot = remote, robot
         self._build(states, robot, facts, address, domain)
-        with self.closing():
-            services = [SWITCHER, *([facts.release[0][0]] if facts.release[0] else [])]
-            self._servers = {name: Server(self.participant, name) for name in services}
-            if remote is not None:
-                self.held = Remote(remote, robot, self.remote)
+
+    def _open(self) -> None:
+        super()._open()
+        before, _ = self._facts.release
+        services = [SWITCHER, *([before[0]] if before else [])]
+        self._servers = {name: Server(self.participant, name) for name in services}
+        if self._device is not None:
+            self.held = Remote(self._device, self._robot, self.remote)
 
     def _built(self) -> None:
         own, facts, states = self.own, self._facts, self._states
@@ -158,8 +163,7 @@ class UnitreeEndpoint(DdsEndpoint):
         if self.held is not None:
             self.held()
         if waist is not None:
-            angle, rate = (-float(states[name][waist]) for name in ("joint_pos", "joint_vel"))
-            turned({name: states[name] for name in IMU_STATES}, self._imu, angle, rate)
+            turned(states, self._imu, states, waist, -1.0)
         self.own["temperatures"][...] = np.repeat(self._arrays["motor_temperature"], 2)
         self.put()
 

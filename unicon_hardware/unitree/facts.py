@@ -33,7 +33,7 @@ from unicon_hardware.facts import (
     slots,
     wrong_fact,
 )
-from unicon_msgs_map.layout.messages import Array, Struct, shared_messages
+from unicon_msgs_map.layout.messages import Array, shared_messages
 
 PROTOCOLS = ("unitree_go", "unitree_hg")
 PROTOCOL = Annotated[str, one_of(*PROTOCOLS)]
@@ -81,10 +81,6 @@ class UnitreeFacts(DdsFacts):
     def go(self) -> bool:
         """Whether it is the older protocol, which quadrupeds and H1 speak."""
         return self.protocol == "unitree_go"
-
-    def message(self, name: str) -> Struct:
-        """Return a message of the protocol, such as `LowCmd`."""
-        return shared_messages().struct(f"{self.protocol}/msg/{name}")
 
     @property
     def state(self) -> Message:

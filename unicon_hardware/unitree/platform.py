@@ -17,7 +17,7 @@ import numpy as np
 from unicon_base import AnyMapping, Fault, PlatformError
 from unicon_core.blocks.controls.device import Controls
 from unicon_core.blocks.controls.device import unitree as held
-from unicon_core.platforms.kit.base import Mounting
+from unicon_core.platforms.kit.base import IMU_STATES, Mounting
 from unicon_core.platforms.platform import Binding, Facts
 from unicon_core.robots import Robot
 from unicon_core.states import States
@@ -28,7 +28,7 @@ from unicon_hardware.dds.maps import arrays_of, offset_of
 from unicon_hardware.modes import SETTLES
 from unicon_hardware.robot_clock import Repeats
 from unicon_hardware.unitree.facts import PROTOCOLS, Release, UnitreeFacts
-from unicon_hardware.wire import IMU_STATES, newer, turned
+from unicon_hardware.wire import newer, turned
 from unicon_hardware.wired_robot import SILENCE, WiredRobot, opened
 from unicon_msgs_map import Decoder
 
@@ -88,18 +88,16 @@ class UnitreeWire(DdsWire):
         self._repeats = Repeats(self.label, measured)
         self._message = replace(facts.state, checked=self._checked)
         self._into = {name: array for name, array in arrays.items() if name not in head}
-        self._release: Release | None = None
+
+    def _listen(self) -> None:
+        self._frames = self._message.frames(self._into, self.counts)
+        self.listen(self._facts.state, self, forget=self._forget)
 
     def _open(self) -> None:
-        facts = self._facts
-        self._frames = self._message.frames(self._into, self.counts)
-        self.listen(facts.state, self, forget=self._forget)
-        self.watch(facts.command_topic)
-        if not self._silent:
-            self.speak(facts.command, self._arrays)
-            if self._checked:
-                before, wait = facts.release
-                self._release = Release(self.participant, before, wait, self.label)
+        super()._open()
+        if self._checked and not self._silent:
+            before, wait = self._facts.release
+            self._takeover = Release(self.participant, before, wait, self.label)
 
     def warm_up(self) -> None:
         """Read ahead, and do what `put` does, but send nothing to the robot."""
@@ -161,17 +159,13 @@ class UnitreeWire(DdsWire):
         if self._mounting.turned:
             self._mounting.turn(values, values)
         if waist is not None:
-            turned(values, values, *(float(values[n][waist]) for n in ("joint_pos", "joint_vel")))
+            turned(values, values, values, waist)
         if not self._facts.go and "motor_temperature" in values:
             np.maximum(*self._pairs, out=values["motor_temperature"])
         if self._controls is not None and self.remote != self._held:
             held(self.remote, self._controls)
             self._held = bytes(self.remote)
         return True
-
-    def prepare(self) -> str:
-        """Let the robot's own controller let go; return what is waited for, "" at the end."""
-        return "" if self._release is None else self._release()
 
 
 SIMULATOR = "unitree_mujoco"
