@@ -78,10 +78,6 @@ class EmulatedModes:
         """Let a motor be in another mode from now on, whatever is commanded."""
         self._away[joint] = self.reported[joint] = mode
 
-    def come_back(self) -> None:
-        """Let all motors go into the commanded mode again, with the next command."""
-        self._away.clear()
-
     def command(self, modes: UInt8, states: States | AnyMapping) -> None:
         """Go into the commanded modes; a motor that is away has neither stiffness nor torque.
 

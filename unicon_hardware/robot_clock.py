@@ -13,8 +13,6 @@ from collections import deque
 from unicon_base import Fault
 from unicon_hardware.wire import ahead
 
-WRAP = 1 << 32
-
 
 class RobotClock:
     """Compares a robot's clock of 1 ms and 32 bits with `time.monotonic_ns`.

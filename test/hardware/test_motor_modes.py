@@ -123,7 +123,7 @@ def test_a_motor_that_leaves_its_mode_is_a_fault_in_the_next_tick(
 
         robot.face.modes.leave(JOINT, left)
         until(lambda: modes.reported[JOINT] == left, tick)
-        robot.face.modes.come_back()  # commands have been limp: it may
+        robot.face.modes._away.clear()  # commands have been limp: it may
         until(lambda: not modes.other(), tick)
         for _ in range(10):
             stiff()
@@ -137,7 +137,7 @@ def test_a_motor_that_leaves_its_mode_is_a_fault_in_the_next_tick(
         with pytest.raises(Fault, match=f"{wrong} since it takes commands"):
             until(lambda: False, lambda: (modes.other() and pytest.fail("a tick late"), stiff()))
         until(lambda: not robot.states["joint_stiffness"].any(), stiff)
-        robot.face.modes.come_back()
+        robot.face.modes._away.clear()
         until(lambda: not modes.other(), stiff)  # it is back, and nothing stiff reaches it
         for _ in range(10):
             stiff()

@@ -7,7 +7,6 @@ the vendor's SDK does to read them. One tick asks, the next one takes.
 
 from __future__ import annotations
 
-import math
 import time
 from typing import Any
 
@@ -269,9 +268,6 @@ class ArxEndpoint(Endpoint):
         RobotError: the robot file lacks a fact.
     """
 
-    # Whether motors let go when commands stop is not known.
-    dead_man = math.inf
-
     def __init__(
         self, states: States, robot: Robot, *, channel: str = "", interface: str = "virtual"
     ) -> None:
@@ -279,9 +275,9 @@ class ArxEndpoint(Endpoint):
         channel = channel or self._motors.channel
         self._bus = open_bus(channel, interface)
         self.rate, self.where = self._motors.rate, self._bus.channel_info
-        reach = {"channel": channel, "interface": interface, "unverified": True}
-        self.reach: dict[str, object] = reach if interface != "virtual" else {}
-        self.platform = "arx" if self.reach else ""
+        if interface != "virtual":
+            self.platform = "arx"
+            self.reach = {"channel": channel, "interface": interface, "unverified": True}
         self._can = import_can()
         self._joints = {number: joint for joint, number in enumerate(self._motors.numbers)}
         self._on = np.array([ENABLED * (lay is DM) for lay in self._motors.layouts], np.uint8)
@@ -315,8 +311,7 @@ class ArxEndpoint(Endpoint):
     def _commanded(self, joint: int, data: bytes) -> bool:
         pos, vel, torque, kp, kd = command_of(self._motors.layouts[joint], data)
         torque /= self._motors.command[joint]
-        figures = (pos, vel, torque, kp, kd)
-        for name, figure in zip(COMMAND_STATES, figures):
+        for name, figure in zip(COMMAND_STATES, (pos, vel, torque, kp, kd)):
             self._states[name][joint] = figure
         return kp > 0.0 or kd > 0.0 or abs(torque) > EMPTY
 

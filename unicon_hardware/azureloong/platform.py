@@ -62,7 +62,7 @@ class AzureWire(Wire):
         frame = self._frame = np.zeros(1, command)
         frame["checker"], frame["size"] = link.checker, frame.nbytes
         frame["torque_limit_rate"], frame["filter_rate"] = torque_limit_rate, filter_rate
-        self._bytes = self._frame.view(np.uint8).data
+        self._bytes = frame.view(np.uint8).data
         block = frame.view(np.uint8)[part(command, "joint_pos_target", "finger_left")]
         self._block = block.view("<f4").reshape(self._lower.shape)
         self._stamp, self._plan = -math.inf, 0
@@ -82,7 +82,7 @@ class AzureWire(Wire):
             for side in ("left", "right")
         ]
         self._stamp_at = part(kind, "timestamp", "key").start
-        self._name_at = part(kind, "plan", "state")
+        self._name = heard["plan"]
         self._udp = Udp(
             ("0.0.0.0", 0), (address, link.port), f"azureloong at {address}", self.counts
         )
@@ -93,22 +93,15 @@ class AzureWire(Wire):
         Raises:
             Fault: the robot has left the plan in which it takes commands.
         """
-        if not self._commanding:
-            self._ask()
-        good, newest = 0, None
-        for data in self._udp.received():
-            if self._accepted(data):
-                good, newest = good + 1, data
-        if newest is not None:
-            self._tell(newest)
-        self.counts.good += good
-        return good
-
-    def _ask(self) -> None:
         now = time.monotonic()
-        if now - self._asked >= 1.0 / self._link.rate:
+        if not self._commanding and now - self._asked >= 1.0 / self._link.rate:
             self._asked = now
             self._udp.send(self._bytes)
+        good = [data for data in self._udp.received() if self._accepted(data)]
+        if good:
+            self._tell(good[-1])
+        self.counts.good += len(good)
+        return len(good)
 
     def _accepted(self, data: bytes) -> bool:
         """Whether a frame is new and finite."""
@@ -143,7 +136,7 @@ class AzureWire(Wire):
 
     @property
     def _where_it_is(self) -> str:
-        name = bytes(self._heard[self._name_at]).split(b"\0")[0].decode("ascii", "replace")
+        name = bytes(self._name[0]).split(b"\0")[0].decode("ascii", "replace")
         return f"it is in plan {name!r} (key {self._plan})"
 
     def prepare(self) -> str:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from unicon_base import AnyDict, AnyMapping
 from unicon_base.arrays import Array
@@ -42,42 +41,29 @@ class Frames:
     """Messages of one type: header, length and checksum looked at, then read into arrays.
 
     Args:
-        spec: how they are read.
+        message: how they are read, and what is checked.
         arrays: what they are read into.
         counts: gets what is refused.
-        checked: Unitree's checksum must be right.
-        orientation: state of a quaternion, which must have norm 1, or "".
-        lengths: of sequences in front of which nothing varies, by field: other lengths are refused.
         size: with the header, in bytes; of a type with sequences or texts 0 leaves it to decoding.
 
     Raises:
         MapStateError: arrays and mapping do not fit.
     """
 
-    def __init__(
-        self,
-        spec: SubscribeSpec,
-        arrays: Mapping[str, NDArray[np.generic]],
-        counts: Counts,
-        *,
-        checked: bool = True,
-        orientation: str = "",
-        lengths: Mapping[str, int] | None = None,
-        size: int = 0,
-    ) -> None:
-        self._counts, self._checked = counts, checked
-        self._decoder = Decoder.build(spec, arrays)
-        if orientation:
-            self._decoder.need_orientation(orientation)
-        message = spec.messages.struct(spec.type)
-        self._lengths = {offset_of(message, name): (name, n) for name, n in (lengths or {}).items()}
-        body = static_size(message, 0)
+    def __init__(self, message: Message, arrays: Arrays, counts: Counts, size: int = 0) -> None:
+        self._counts, self._checked = counts, message.checked
+        self._decoder = Decoder.build(message.subscribe(arrays), arrays)
+        if message.orientation:
+            self._decoder.need_orientation(message.orientation)
+        struct = message.struct
+        self._lengths = {offset_of(struct, key): (key, n) for key, n in message.lengths.items()}
+        body = static_size(struct, 0)
         self.size = size if body is None else 4 + body
         self._least = self.size or max(self._lengths, default=0) + 4
-        if checked:
+        if self._checked:
             self._buffer = bytearray(self.size)
             field = FieldSpec("crc", parse_path("crc"), Reference("const", value=0))
-            self._crc = unitree_crc(field, message, self._buffer)
+            self._crc = unitree_crc(field, struct, self._buffer)
 
     def good(self, raw: bytes) -> bool:
         """Tell whether header, length and checksum are right; count what is not."""
@@ -234,15 +220,7 @@ class Message:
 
     def frames(self, arrays: Arrays, counts: Counts, *, size: int = 0) -> Frames:
         """Return what reads it into those arrays that are there; `size` as of `Frames`."""
-        return Frames(
-            self.subscribe(arrays),
-            arrays,
-            counts,
-            checked=self.checked,
-            orientation=self.orientation,
-            lengths=self.lengths,
-            size=size,
-        )
+        return Frames(self, arrays, counts, size)
 
 
 def _known(fields: AnyMapping, arrays: Container[str]) -> AnyDict:

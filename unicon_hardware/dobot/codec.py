@@ -30,6 +30,7 @@ from unicon_hardware.dds.maps import (
     motors,
     zeros,
 )
+from unicon_hardware.dds.service import Inlet
 from unicon_hardware.facts import Octet, Rate, facts_of, joint_number, wrong_fact
 from unicon_hardware.wire import Counts, turned
 
@@ -48,7 +49,8 @@ class Half(Messages):
         count: of joints, and of motors in its messages.
         state_topic: of its state.
         command_topic: of its commands.
-        kind: types of its state and of its commands.
+        state_type: of its state.
+        name: in the type of its commands.
         mode: byte `mode` of its motors' commands.
     """
 
@@ -56,7 +58,8 @@ class Half(Messages):
     count: int
     state_topic: str
     command_topic: str
-    kind: tuple[str, str]
+    state_type: str
+    name: str
     mode: int
 
     @property
@@ -67,19 +70,19 @@ class Half(Messages):
         if self.first:
             fields["is_upper_control"] = "upper_control"
             name = "dobot_atom.msg.dds_.UpperState_"
-            return Message(self.state_topic, self.kind[0], fields, name=name)
+            return Message(self.state_topic, self.state_type, fields, name=name)
         fields |= {f"imu_state.{field}": name for field, name in IMU.items()}
         fields["imu_state.gyroscope"] = {"state": IMU["gyroscope"], "unit": "deg/s"}
         fields |= {"fsm_id": "fsm_id", "wireless_remote": "remote"}
         fields["bms_state.battery_level"] = {"state": "battery_charge", "scale": 0.01}
-        return Message(self.state_topic, self.kind[0], fields, orientation="base_quat")
+        return Message(self.state_topic, self.state_type, fields, orientation="base_quat")
 
     @property
     def command(self) -> Message:
         """LowerCmd or UpperCmd."""
         return Message(
             self.command_topic,
-            self.kind[1],
+            f"dobot_atom/msg/{self.name}Cmd",
             motors("motor_cmd", range(self.count), COMMANDS, self.first),
             sent={f"motor_cmd[{slot}].mode": self.mode for slot in range(self.count)},
             taken=motors("motor_cmd", range(self.count), {"mode": "modes"}, self.first),
@@ -155,12 +158,11 @@ class DobotFacts:
     @property
     def halves(self) -> tuple[Half, Half]:
         """The legs; torso, arms and head."""
-        lower = "dobot_atom/msg/LowerState", "dobot_atom/msg/LowerCmd"
-        upper = LAYOUTS[self.layout], "dobot_atom/msg/UpperCmd"
-        topics = self.upper_state_topic, self.upper_command_topic
+        lower = self.lower_state_topic, self.lower_command_topic
+        upper = self.upper_state_topic, self.upper_command_topic
         return (
-            Half(0, LOWER, self.lower_state_topic, self.lower_command_topic, lower, self.modes),
-            Half(LOWER, UPPER, *topics, upper, self.modes),
+            Half(0, LOWER, *lower, "dobot_atom/msg/LowerState", "Lower", self.modes),
+            Half(LOWER, UPPER, *upper, LAYOUTS[self.layout], "Upper", self.modes),
         )
 
     @property
@@ -207,7 +209,7 @@ class DobotEndpoint(DdsEndpoint):
         layout: str = "sdk",
         acts_in: int = 2,
     ) -> None:
-        self._acts_in, self._came = acts_in, (False, False)
+        self._acts_in, self._came = acts_in, set[Inlet]()
         self._build(states, robot, DobotFacts.of(robot, layout), address, domain)
 
     def _built(self) -> None:
@@ -240,14 +242,14 @@ class DobotEndpoint(DdsEndpoint):
 
     def hear(self) -> bool:
         """Answer requests, and bring the newest good commands into the command states."""
-        lower, upper, fsm, switch = self._inlets
+        *halves, fsm, switch = self._inlets
         if fsm.take():
             self.own["fsm_id"][...] = self._asked["id"]
         if switch.take():
             self.own["upper_control"][...] = self._asked["flag"]
-        came = bool(lower.take()), bool(upper.take())
-        self._came = self._came[0] or came[0], self._came[1] or came[1]
-        if not any(came) or not all(self._came) or not self._acts():
+        came = {inlet for inlet in halves if inlet.take()}
+        self._came |= came
+        if not came or len(self._came) < len(halves) or not self._acts():
             return False
         self._act()
         return True

@@ -48,7 +48,6 @@ class RosEndpoint(Endpoint):
 
     platform = "ros"
     dead_man = WATCHDOG
-    obeys = True
     where = "joint_commands"
 
     def __init__(

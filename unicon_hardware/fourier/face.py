@@ -46,7 +46,7 @@ class ActuatorEndpoint(Endpoint):
 
     def __init__(self, states: States, facts: Any) -> None:
         self._states, self._facts, self._joints = states, facts, len(facts.names)
-        self.reach: dict[str, object] = {"address": facts.addresses[0]}
+        self.reach = {"address": facts.addresses[0]}
         self._sockets: list[Udp] = []
         self._commanded: set[int] = set()
 

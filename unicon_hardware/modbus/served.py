@@ -49,22 +49,16 @@ class _Served(Line):
             self._receive()
             while (frame := self._next()) is not None:
                 told = answer(frame)
-                if told is not None:
-                    self._tell(self._framing.pack(frame._replace(pdu=told)))
+                if told is None:
+                    continue
+                data = self._framing.pack(frame._replace(pdu=told))
+                if os.write(self._file, data) < len(data):
+                    raise BlockingIOError  # the client takes nothing any more: nobody waits
         except Refused:  # as the vendor's: no answer
             self._data.clear()
         except OSError:  # of a pty: nobody has opened the other side
             return isinstance(self._framing, Rtu)
         return True
-
-    def _tell(self, data: bytes) -> None:
-        """Send an answer.
-
-        Raises:
-            OSError: the client takes nothing any more; nobody waits for it.
-        """
-        if os.write(self._file, data) < len(data):
-            raise BlockingIOError
 
 
 class TcpServer:
@@ -83,7 +77,7 @@ class TcpServer:
         self._listening.setblocking(False)
         self.port = int(self._listening.getsockname()[1])
         self.where = f"{address}:{self.port}"
-        self.reach: dict[str, object] = {"address": address, "port": self.port}
+        self.reach = {"address": address, "port": self.port}
         self._clients: list[tuple[socket.socket, _Served]] = []
 
     def serve(self, answer: Answer) -> None:
@@ -117,7 +111,7 @@ class PtyServer:
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         self.where = os.ttyname(self._slave)
-        self.reach: dict[str, object] = {"device": self.where}
+        self.reach = {"device": self.where}
         self._served = _Served(self._master, Rtu())
 
     def serve(self, answer: Answer) -> None:
@@ -131,7 +125,7 @@ class PtyServer:
 
 
 class HandEndpoint(Endpoint):
-    """The hand behind a server; it is a `Face`.
+    """The hand behind a server, which holds its last target for ever.
 
     Args:
         states: of its simulator.
@@ -145,12 +139,9 @@ class HandEndpoint(Endpoint):
         memory: all registers.
         known: which of them there are.
         cleared: how often errors were cleared.
-        delay: frames that are left without an answer, for tests.
     """
 
     rate = 500.0
-    dead_man = float("inf")  # a hand holds its last target for ever
-    obeys = True
 
     def __init__(
         self,
@@ -172,7 +163,7 @@ class HandEndpoint(Endpoint):
             self.known[start : start + count] = True
         for register, value in (extra or {}).items():
             self.memory[register], self.known[register] = value, True
-        self.cleared = self.deaf = 0
+        self.cleared = 0
         self._heard = False
 
     def tell(self) -> None:
@@ -206,9 +197,6 @@ class HandEndpoint(Endpoint):
     def _answer(self, frame: Frame) -> bytes | None:
         pdu = frame.pdu
         if frame.unit != self._registers.unit or len(pdu) < 5:
-            return None
-        if self.deaf:
-            self.deaf -= 1
             return None
         function, start = pdu[0], int.from_bytes(pdu[1:3], "big")
         count = 1 if function == WRITE_ONE else int.from_bytes(pdu[3:5], "big")

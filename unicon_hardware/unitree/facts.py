@@ -175,17 +175,14 @@ def _constants(robot: Robot, count: int, modes: Mapping[int, int]) -> AnyDict:
 
 def _release(robot: Robot) -> tuple[tuple[str, int] | None, float]:
     """Return how the robot's own controller is asked to let go."""
-    said = robot.transport.get("release")
-    if not isinstance(said, dict) or not isinstance(said.get("wait"), int | float):
-        wanted = "{wait: seconds}, with before: [service, number] if any"
+    said: Any = robot.transport.get("release")
+    said = said if isinstance(said, dict) else {}
+    wait, before = said.get("wait"), said.get("before")
+    named = isinstance(before, list) and [*map(type, before)] == [str, int]
+    if not isinstance(wait, int | float) or not (named or before is None):
+        wanted = "{wait: seconds}, with before: [service, number], such as [sport, 1005], if any"
         raise wrong_fact(robot, "release", wanted)
-    before = said.get("before")
-    if before is None:
-        return None, float(said["wait"])
-    if not isinstance(before, list) or [*map(type, before)] != [str, int]:
-        wanted = "before: [service, number], such as [sport, 1005]"
-        raise wrong_fact(robot, "release", wanted)
-    return (before[0], before[1]), float(said["wait"])
+    return (before[0], before[1]) if named else None, float(wait)
 
 
 class _End(ServiceEnd):

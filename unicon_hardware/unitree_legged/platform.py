@@ -7,7 +7,6 @@ platforms:
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -183,7 +182,6 @@ class LeggedEndpoint(Endpoint):
     """
 
     platform = "unitree_legged"
-    dead_man = math.inf
 
     def __init__(
         self,
@@ -200,10 +198,10 @@ class LeggedEndpoint(Endpoint):
         self.rate, self.obeys, self._encrypted, self._link = link.rate, obeys, encrypted, link
         self.good = self.refused = 0
         self.where = f"{link.address}:{link.port}"
-        self.reach: dict[str, object] = {"address": link.address, "port": link.port}
-        self.reach |= {"generation": link.generation} | ({"encrypted": True} if encrypted else {})
+        reach = {"address": link.address, "port": link.port, "generation": link.generation}
+        self.reach = reach | ({"encrypted": True} if encrypted else {})
         self.remote = bytearray(40)
-        self._states, self.now = states, math.nan
+        self._states = states
         self.clock = Milliseconds(1000.0 / self.rate)
         self._in, self._out = Frame(link.layout.command), Frame(link.layout.state)
         self._commanded = self._in["motors"][link.motors]

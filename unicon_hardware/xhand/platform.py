@@ -58,9 +58,9 @@ class XhandWire(Wire):
                 "platform 'xhand'", name, "install the wheel that RobotEra delivers with the hand"
             ) from error
         self.counts = Counts()
-        self._baudrate = fact(robot, "baudrate", Baud)
+        baudrate = fact(robot, "baudrate", Baud)
         self._mode = fact(robot, "mode", Word)
-        self._gains = [fact(robot, key, Word) for key in ("kp", "ki", "kd", "max_torque")]
+        gains = [fact(robot, key, Word) for key in ("kp", "ki", "kd", "max_torque")]
         self._count = robot.num_joints
         self._lower, self._upper = robot.lower.astype(float), robot.upper.astype(float)
         self._states = states
@@ -68,17 +68,21 @@ class XhandWire(Wire):
         self._last: Float64 | None = None
         self._changed = time.monotonic()
         self._device: Any = module.XHandControl()
-        self.where = self._open(serial)
+        self.where = self._open(serial, baudrate)
         try:
             self._id = self._only(hand_id)
-            self._command = self._filled(module.HandCommand_t())
+            self._command: Any = module.HandCommand_t()
+            for joint in range(self._count):
+                each = self._command.finger_command[joint]
+                each.id = joint
+                each.kp, each.ki, each.kd, each.tor_max = gains
         except BaseException:
             self._device.close_device()
             raise
 
-    def _open(self, serial: str) -> str:
+    def _open(self, serial: str, baudrate: int) -> str:
         if serial:
-            where, answer = serial, self._device.open_serial(serial, self._baudrate)
+            where, answer = serial, self._device.open_serial(serial, baudrate)
         else:
             found = list(self._device.enumerate_devices("EtherCAT"))
             if not found:
@@ -104,13 +108,6 @@ class XhandWire(Wire):
         told = f"hands {', '.join(map(str, found))}" if found else "no hand"
         asked = "give hand_id" if hand_id is None else f"hand_id {hand_id} is not there"
         raise PlatformError(f"platform 'xhand': {told} at {self.where}; {asked}")
-
-    def _filled(self, command: Any) -> Any:
-        for joint in range(self._count):
-            each = command.finger_command[joint]
-            each.id = joint
-            each.kp, each.ki, each.kd, each.tor_max = self._gains
-        return command
 
     def take(self) -> int:
         """Bring what the module heard last into the states; 1 where it is new."""
