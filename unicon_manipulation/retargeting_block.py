@@ -355,12 +355,8 @@ class Retarget:
 
     def _followed(self, anew: bool) -> Float64:
         """Return what is sent: what was found behind the low pass, no faster than allowed."""
-        model, q, smooth, sent = (
-            self._retargeting.model,
-            self._retargeting.q,
-            self._smooth,
-            self._sent,
-        )
+        retargeting, smooth, sent = self._retargeting, self._smooth, self._sent
+        model, q = retargeting.model, retargeting.q
         if anew:
             smooth[...] = q
             measured = np.where(np.isfinite(self._joint_pos), self._joint_pos, smooth)

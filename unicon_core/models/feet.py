@@ -33,10 +33,10 @@ _OF_FORCE = 1e-5
 _OF_MOMENT = 1e-3
 # Squared norm of all that is measured, in [rad²], [rad²/s²], [N²·m²]: no robot has so much.
 _SENSE = 1e8
-# a × r = a @ M(r), and M(r) = (r @ _CROSS).reshape(3, 3)
-_CROSS = np.zeros((3, 9))
+CROSS = np.zeros((3, 9))
 for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-    _CROSS[_k, 3 * _i + _j], _CROSS[_k, 3 * _j + _i] = -1.0, 1.0
+    CROSS[_k, 3 * _i + _j], CROSS[_k, 3 * _j + _i] = -1.0, 1.0
+"""(r @ CROSS).reshape(3, 3) is M(r), with a × r = a @ M(r) and r × a = M(r) @ a."""
 
 
 class Feet:
@@ -185,7 +185,7 @@ class Feet:
             places = places[self._each, places[..., 2].argmin(1)]
         np.add(places.reshape(-1, 3), self._origins, out=position)
         np.subtract(position, self._centre, out=self._arm)
-        np.matmul(self._arm, _CROSS, out=self._across)
+        np.matmul(self._arm, CROSS, out=self._across)
         np.matmul(self._spin, self._cross, out=self._turned)
         self.velocity += self._shift
         if joint_effort is not None:

@@ -84,8 +84,7 @@ class Chain:
             own: of the moved ones, which those of `joint_pos` do not count for, shape (k,).
         """
         self._qpos[self._all] = joint_pos
-        self._qpos[self._own] = own
-        self._mujoco.mj_kinematics(self._model, self.data)
+        self.move(own)
 
     def move(self, own: Float64) -> None:
         """Put the moved joints somewhere, in [rad], shape (k,)."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from unicon_base import imported
 from unicon_base.arrays import Array, Bool, Float64
+from unicon_core.models.feet import CROSS
 from unicon_core.models.loaded import import_mujoco, index_of
 from unicon_core.robots import Robot
 from unicon_manipulation.ik.chain import Chain
@@ -255,12 +256,6 @@ class Quadratic:
         return False
 
 
-# a × n = (a @ _CROSS).reshape(3, 3) @ n
-_CROSS = np.zeros((3, 9))
-for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-    _CROSS[_i, 3 * _k + _j], _CROSS[_i, 3 * _j + _k] = 1.0, -1.0
-
-
 class Apart:
     """Pairs of capsules that are kept apart, p of them.
 
@@ -317,7 +312,7 @@ class Apart:
         normal = twist[:, 3:]
         normal[:] = contact.frame[:, :3]
         arm = contact.pos - self._centre
-        np.matmul((arm @ _CROSS).reshape(-1, 3, 3), normal[..., None], out=twist[:, :3, None])
+        np.matmul((arm @ CROSS).reshape(-1, 3, 3), normal[..., None], out=twist[:, :3, None])
         change = twist @ self._axes[self._dofs].T
         change *= self._moves[row]
         return distance, change

@@ -229,7 +229,14 @@ class Target:
             return None
         length = math.sqrt(sum(each * each for each in quat))
         if not (math.isfinite(x + y + z) and abs(length - 1.0) <= _UNIT):
-            self._refuse([x, y, z], length)
+            if not self._told:
+                self._told = True
+                finite = math.isfinite(x) and math.isfinite(y) and math.isfinite(z)
+                what = f"quaternion of length {length:.3g}" if finite else f"position {[x, y, z]}"
+                self._tell(
+                    f"reach: {self._effector}_target has a {what}, which counts as no target; "
+                    "write finite [m] and a unit quaternion, w first, or NaN for none"
+                )
             return None
         self._told = False
         quat = [each / length for each in quat]
@@ -242,17 +249,3 @@ class Target:
         vx, vy, vz, *turning = velocity
         place = (x + ahead * vx, y + ahead * vy, z + ahead * vz)
         return place, turned_by(quat, turning, ahead)
-
-    def _refuse(self, place: list[float], length: float) -> None:
-        if self._told:
-            return
-        self._told = True
-        what = (
-            f"position {place}"
-            if not all(map(math.isfinite, place))
-            else f"quaternion of length {length:.3g}"
-        )
-        self._tell(
-            f"reach: {self._effector}_target has a {what}, which counts as no target; write finite "
-            "[m] and a unit quaternion, w first, or NaN for none"
-        )

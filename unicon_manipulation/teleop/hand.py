@@ -65,15 +65,13 @@ class Workspace:
         upper = tuple(map(max, self.upper, last))
         radius = max(self.radius, math.dist(last, self.centre))
         x, y, z = wanted
-        for _ in range(ROUNDS):
+        for left in range(ROUNDS, -1, -1):
             x, y, z = (max(a, min(v, b)) for a, v, b in zip(lower, (x, y, z), upper))
             far = math.dist((x, y, z), self.centre)
             if far <= radius:
                 return x, y, z
-            x, y, z = (c + (v - c) * radius / far for c, v in zip(self.centre, (x, y, z)))
-        x, y, z = (max(a, min(v, b)) for a, v, b in zip(lower, (x, y, z), upper))
-        if math.dist((x, y, z), self.centre) <= radius:
-            return x, y, z
+            if left:
+                x, y, z = (c + (v - c) * radius / far for c, v in zip(self.centre, (x, y, z)))
         return self._cut((x, y, z), last, radius)
 
     def _cut(self, wanted: Vector, last: Vector, radius: float) -> Vector:
@@ -121,13 +119,9 @@ class Hand:
         self._workspace, self._scale, self._most = workspace, scale, (speed, turn)
         self._way, self._turn = speed * period, turn * period
         self.live = False
-        self.position: Vector = _STILL
+        self.position = self.velocity = self.spin = _STILL
         self.quat: Quat = (1.0, 0.0, 0.0, 0.0)
-        self.velocity: Vector = _STILL
-        self.spin: Vector = _STILL
-        self._theirs = self.position, self.quat
-        self._ours = self.position, self.quat
-        self._seen = self.position, self.quat
+        self._theirs = self._ours = self._seen = self.position, self.quat
         self._level = self.quat
 
     def engage(self, position: Vector, quat: Quat, yaw: float, ours: tuple[Vector, Quat]) -> None:
@@ -198,7 +192,7 @@ class Hand:
     def drop(self) -> None:
         """Have no target any more."""
         self.live = False
-        self.velocity = self.spin = _STILL
+        self.hold()
 
 
 def _within(vector: Vector, most: float) -> Vector:
@@ -339,7 +333,9 @@ class Arm:
         else:
             hand.hold()
         if hand.live:
-            self._write(stamp)
+            self._target[:3], self._target[3:] = hand.position, hand.quat
+            self._velocity[:3], self._velocity[3:] = hand.velocity, hand.spin
+            self._stamp[...] = stamp
         return clutch.engaged
 
     def _engage(self, headset: Headset, ours: tuple[Vector, Quat]) -> bool:
@@ -348,9 +344,3 @@ class Arm:
             return False
         self.hand.engage(self.theirs.position, self.theirs.quat, yaw, ours)
         return True
-
-    def _write(self, stamp: int) -> None:
-        hand = self.hand
-        self._target[:3], self._target[3:] = hand.position, hand.quat
-        self._velocity[:3], self._velocity[3:] = hand.velocity, hand.spin
-        self._stamp[...] = stamp

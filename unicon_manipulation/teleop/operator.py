@@ -225,12 +225,10 @@ class OperatorHand:
         smooth: OneEuro | None,
     ) -> None:
         self._headset, self._smooth = headset, smooth
-        self._hand, self._controller = (
-            headset.view(f"{side}_hand"),
-            headset.view(f"{side}_controller"),
-        )
+        own = [f"{side}_{part}" for part in ("hand", "controller")]
+        self._hand, self._controller = map(headset.view, own)
         self._buttons = headset.view(f"{side}_buttons")
-        self._parts = headset.part(f"{side}_hand"), headset.part(f"{side}_controller")
+        self._parts = [*map(headset.part, own)]
         self._tip = FINGERS[finger]
         self._squeeze = headset.named(f"{side}_buttons", squeeze)
         self._home = -1 if home is None else headset.named(f"{side}_buttons", home)

@@ -250,30 +250,19 @@ def otherwise(start: Start) -> list[str]:
     mujoco = import_mujoco()
     model = start.loaded.model
     opt = model.opt
-    notes = []
-    if opt.integrator not in (mujoco.mjtIntegrator.mjINT_EULER, *_implicit(mujoco)):
-        name = mujoco.mjtIntegrator(opt.integrator).name.removeprefix("mjINT_")
-        notes.append(f"integrator {name} became implicitfast")
-    if opt.solver == mujoco.mjtSolver.mjSOL_PGS:
-        notes.append("solver PGS became Newton")
-    if opt.density or opt.viscosity or np.any(opt.wind):
-        notes.append("left out: air or water around the robot")
-    if model.ntendon:
-        notes.append(f"left out: {model.ntendon} tendons")
-    if (model.geom_type == mujoco.mjtGeom.mjGEOM_HFIELD).any():
-        notes.append("left out: height fields")
-    if not model.eq_active0.all():
-        notes.append("equality constraints that begin inactive act all the time")
+    integrator = mujoco.mjtIntegrator(opt.integrator).name.removeprefix("mjINT_")
     named = np.union1d(model.pair_geom1, model.pair_geom2).astype(int)
     only = named[(model.geom_contype[named] == 0) & (model.geom_conaffinity[named] == 0)]
-    if len(only):
-        notes.append(f"left out: contacts of {len(only)} geoms that touch by pairs alone")
-    return notes
-
-
-def _implicit(mujoco: Any) -> tuple[Any, Any]:
-    kinds = mujoco.mjtIntegrator
-    return kinds.mjINT_IMPLICIT, kinds.mjINT_IMPLICITFAST
+    found = {
+        f"integrator {integrator} became implicitfast": integrator == "RK4",
+        "solver PGS became Newton": opt.solver == mujoco.mjtSolver.mjSOL_PGS,
+        "left out: air or water around the robot": opt.density or opt.viscosity or opt.wind.any(),
+        f"left out: {model.ntendon} tendons": model.ntendon,
+        "left out: height fields": (model.geom_type == mujoco.mjtGeom.mjGEOM_HFIELD).any(),
+        "equality constraints that begin inactive act all the time": not model.eq_active0.all(),
+        f"left out: contacts of {len(only)} geoms that touch by pairs alone": len(only),
+    }
+    return [note for note, there in found.items() if there]
 
 
 def _say_friction(model: Any, start: Start) -> None:

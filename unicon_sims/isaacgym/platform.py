@@ -164,11 +164,8 @@ class IsaacGymPlatform(SteppedSimulator):
         quat /= np.linalg.norm(quat, axis=1, keepdims=True)
         rate = root[:, 10:]
         # PhysX tells the velocity of the centre of mass.
-        return WorldPose(root[:, :3], quat, root[:, 7:10] - self._around(quat, rate), rate)
-
-    def _around(self, quat: Float64, rate: Float64) -> Float64:
-        """Return ω × (from the base's origin to its centre of mass) in the world, (N, 3)."""
-        return cross(rate, rotation(quat) @ self._centre)
+        around = cross(rate, rotation(quat) @ self._centre)
+        return WorldPose(root[:, :3], quat, root[:, 7:10] - around, rate)
 
     def step(self, torque: Float64) -> None:
         gym = self._gym

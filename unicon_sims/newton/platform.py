@@ -105,17 +105,14 @@ class Engine:
         rows[:, :3] += velocity
         self._now.joint_qd.assign(rows.ravel())
 
-    def damp(self, damping: Float64, flag: Any) -> None:
-        """Give the joints damping [N·m·s/rad], shape (n,).
+    def damp(self, damping: Float64) -> None:
+        """Give the joints damping [N·m·s/rad], in the robot's order, shape (n,)."""
+        from newton import ModelFlags
 
-        Args:
-            damping: in the robot's order.
-            flag: of `newton.ModelFlags`, for a force of joints that has changed.
-        """
         rows = self._rows(self._model.joint_damping).copy()
         rows[:, self._v] = damping
         self._model.joint_damping.assign(rows.ravel())
-        self._solver.notify_model_changed(flag)
+        self._solver.notify_model_changed(ModelFlags.JOINT_DOF_FORCE_PROPERTIES)
 
 
 class NewtonPlatform(DampedSimulator):
@@ -148,10 +145,8 @@ class NewtonPlatform(DampedSimulator):
         self.reset()
 
     def damp(self, damping: Float64) -> None:
-        from newton import ModelFlags
-
         for engine in self._engines:
-            engine.damp(damping, ModelFlags.JOINT_DOF_FORCE_PROPERTIES)
+            engine.damp(damping)
 
     def place(self) -> None:
         for engine in self._engines:

@@ -82,13 +82,13 @@ class _World:
         self._description = description
         self._setup = setup
         self._torque_control = client.TORQUE_CONTROL
-        self._friction = ground_friction(setup.start)
 
     def place(self) -> None:
         """Build the world anew: what contacts and motors remember goes with the old one."""
         client = self._client
         start = self._setup.start
         figures = self._setup.figures
+        friction = ground_friction(start)
         client.resetSimulation()
         client.setPhysicsEngineParameter(
             fixedTimeStep=self._setup.timestep, deterministicOverlappingPairs=1
@@ -103,7 +103,7 @@ class _World:
         names = [client.getJointInfo(body, i)[1].decode() for i in range(client.getNumJoints(body))]
         self._joints = [names.index(name) for name in self._setup.robot.joint_names]
         for link in range(-1, len(names)):
-            client.changeDynamics(body, link, lateralFriction=self._friction)
+            client.changeDynamics(body, link, lateralFriction=friction)
             # By itself: in one call a link keeps its friction (0.5).
             client.changeDynamics(body, link, linearDamping=0.0, angularDamping=0.0)
         self.damp(figures.damping)
