@@ -278,12 +278,31 @@ def unitree_crc(field: FieldSpec, message: Struct, buffer: bytearray) -> Callabl
             f"Unitree's checksum is a uint32 at the end of the message; "
             f"{message.name} ends in {last}"
         )
-    places = _Places(field)
-    places.walk(message)
-    index = np.zeros(places.memory, np.intp)
-    for wire, memory, size in places.pairs:
-        index[memory : memory + size] = np.arange(wire, wire + size)
-    return _crc_of(buffer, index[:-4])
+    index: list[int] = []  # where each byte of the C struct stands on the wire, 0 for padding
+    at = 4
+
+    def walk(kind: TypeRef) -> None:
+        nonlocal at
+        index.extend([0] * (-len(index) % _alignment(kind)))
+        if isinstance(kind, Primitive):
+            at += -(at - 4) % kind.size
+            index.extend(range(at, at + kind.size))
+            at += kind.size
+        elif isinstance(kind, Struct):
+            for member in kind.fields.values():
+                walk(member)
+            index.extend([0] * (-len(index) % _alignment(kind)))
+        elif isinstance(kind, Array) and kind.length is not None:
+            for _ in range(kind.length):
+                walk(kind.item)
+        else:
+            raise field.state_error(
+                "a message with strings or sequences is not a C struct; Unitree's checksum covers "
+                "LowCmd and its kin"
+            )
+
+    walk(message)
+    return _crc_of(buffer, np.array(index[:-4], np.intp))
 
 
 def words_crc(buffer: bytearray, words: int) -> Callable[[], int]:
@@ -309,37 +328,6 @@ def _crc_of(buffer: bytearray, index: NDArray[np.intp]) -> Callable[[], int]:
         return int.from_bytes(value.to_bytes(4, "little").translate(_REVERSED), "big")
 
     return compute
-
-
-class _Places:
-    """Where each number lies on the wire and in the C struct."""
-
-    def __init__(self, field: FieldSpec) -> None:
-        self.field = field
-        self.wire = 4
-        self.memory = 0
-        self.pairs: list[tuple[int, int, int]] = []
-
-    def walk(self, kind: TypeRef) -> None:
-        if isinstance(kind, Primitive):
-            self.wire += -(self.wire - 4) % kind.size
-            self.memory += -self.memory % kind.size
-            self.pairs.append((self.wire, self.memory, kind.size))
-            self.wire += kind.size
-            self.memory += kind.size
-        elif isinstance(kind, Struct):
-            self.memory += -self.memory % _alignment(kind)
-            for member in kind.fields.values():
-                self.walk(member)
-            self.memory += -self.memory % _alignment(kind)
-        elif isinstance(kind, Array) and kind.length is not None:
-            for _ in range(kind.length):
-                self.walk(kind.item)
-        else:
-            raise self.field.state_error(
-                "a message with strings or sequences is not a C struct; Unitree's checksum covers "
-                "LowCmd and its kin"
-            )
 
 
 def _alignment(kind: TypeRef) -> int:

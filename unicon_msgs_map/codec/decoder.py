@@ -259,8 +259,15 @@ class Decoder:
                 return True
         except FloatingPointError:  # somebody's np.seterr: a subnormal in a cast, nothing wrong
             pass
-        with np.errstate(all="ignore"):
-            return self._decode(raw)
+        try:
+            with np.errstate(all="ignore"):
+                self.read(bytes(raw))
+        except (Malformed, Rejected) as error:
+            self.rejected += 1
+            self.last_error = f"{self.spec.topic} ({self.spec.type}): {error}"
+            return False
+        self.received += 1
+        return True
 
     def lapse(self) -> None:
         """Set every element that this decoder writes to zero, time stamps excepted.
@@ -271,16 +278,6 @@ class Decoder:
         for target in self.targets:
             if target.bound is not None and not target.is_time:
                 target.bound.flat[list(target.bound.elements)] = value
-
-    def _decode(self, raw: bytes) -> bool:
-        try:
-            self.read(bytes(raw))
-        except (Malformed, Rejected) as error:
-            self.rejected += 1
-            self.last_error = f"{self.spec.topic} ({self.spec.type}): {error}"
-            return False
-        self.received += 1
-        return True
 
     def need_orientation(self, state: str) -> None:
         """Refuse messages without an orientation from now on.

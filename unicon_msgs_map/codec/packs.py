@@ -11,6 +11,7 @@ import math
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -274,12 +275,8 @@ def _converted(copy: Copy, data: bytearray, space: AnyDict) -> list[str]:
             lines.append(f"add(work{number}, offset{number}, work{number})")
         lines.append(f"wire{number}[...] = work{number}")
     # Overflows to infinity are said in the contract; the warning must not reach a tick.
-    space["quiet"] = _ignore
+    space["quiet"] = partial(np.errstate, all="ignore")
     return ["with quiet():", *("    " + each for each in lines)]
-
-
-def _ignore() -> np.errstate:
-    return np.errstate(all="ignore")
 
 
 def _plain(copy: Copy) -> bool:

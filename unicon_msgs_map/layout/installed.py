@@ -15,6 +15,9 @@ from unicon_base import AnyDict, AnyMapping, alternatives
 from unicon_base.packages import share_folder, shares
 from unicon_msgs_map.errors import MessageTypeError
 
+SHIPPED = resources.files("unicon_msgs_map") / "msg"
+"""Folder of the definitions that ship with us."""
+
 
 def installed_files(full: str) -> list[Path]:
     """Return the files to register for a type `pkg/msg/Name`; none where it is not installed.
@@ -26,7 +29,7 @@ def installed_files(full: str) -> list[Path]:
     folder = _folder(package)
     if kind != "msg" or folder is None or not (folder / f"{name}.msg").is_file():
         return []
-    shipped = resources.files("unicon_msgs_map").joinpath("msg").joinpath(package).is_dir()
+    shipped = (SHIPPED / package).is_dir()
     return sorted(folder.glob("*.msg")) if shipped else [folder / f"{name}.msg"]
 
 
@@ -58,6 +61,5 @@ FILE = "jazzy.json"
 @cache
 def ready_made() -> AnyMapping:
     """Return name to (constants, fields), laid out as rosbags' `fielddefs`; read in 2 ms."""
-    file = resources.files("unicon_msgs_map").joinpath("msg").joinpath(FILE)
-    types: AnyDict = json.loads(file.read_text("utf-8"))
+    types: AnyDict = json.loads((SHIPPED / FILE).read_text("utf-8"))
     return types

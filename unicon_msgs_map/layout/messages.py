@@ -13,7 +13,6 @@ import re
 import struct
 from dataclasses import dataclass
 from functools import cache, cached_property
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ import numpy as np
 
 from unicon_base import AnyDict, AnyMapping, alternatives, one_line
 from unicon_msgs_map.errors import MapDependencyError, MessageTypeError
-from unicon_msgs_map.layout.installed import installed_files, ready_made, unknown_type
+from unicon_msgs_map.layout.installed import SHIPPED, installed_files, ready_made, unknown_type
 
 DEFAULT_DISTRO = "jazzy"
 
@@ -239,7 +238,7 @@ class Messages:
         if package in self._shipped:
             return
         self._shipped.add(package)
-        folder = resources.files("unicon_msgs_map").joinpath("msg").joinpath(package)
+        folder = SHIPPED / package
         if folder.is_dir():
             self.register(
                 {
@@ -257,15 +256,12 @@ class Messages:
             )
         self._building.append(full)
         try:
-            return self._laid_out(full)
+            if not self.knows(full):
+                raise unknown_type(full, self.store.fielddefs)
+            constants, fielddefs = self._ready.get(full) or self.store.fielddefs[full]
+            fields = {name: self._type(full, name, desc) for name, desc in fielddefs}
         finally:
             self._building.pop()
-
-    def _laid_out(self, full: str) -> Struct:
-        if not self.knows(full):
-            raise unknown_type(full, self.store.fielddefs)
-        constants, fielddefs = self._ready.get(full) or self.store.fielddefs[full]
-        fields = {name: self._type(full, name, desc) for name, desc in fielddefs}
         if not fields:  # an empty message has one byte on the wire
             fields["structure_needs_at_least_one_member"] = PRIMITIVES["uint8"]
         return Struct(full, fields, {name: value for name, _, value in constants})
@@ -312,7 +308,7 @@ def full_name(name: str) -> str:
 def _check_names(name: str, definition: Any) -> None:
     full_name(name)
     constants, fields = definition
-    for field in (*(each[0] for each in constants), *(each[0] for each in fields)):
+    for field, *_ in (*constants, *fields):
         if not _FIELD_NAME.fullmatch(field):
             raise MessageTypeError(f"definition of {name!r}: {field!r} is not a name of a field")
     for field, kind in fields:

@@ -9,7 +9,7 @@ rules (XCDR1, little endian): every number is aligned to its size, counted from 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from unicon_base import alternatives
@@ -57,7 +57,7 @@ class Slot:
 
 @dataclass
 class Node:
-    """What is placed at one point of the message tree."""
+    """What is placed at one point of the message tree, and which field came first to it."""
 
     children: dict[str | int, Node] = field(default_factory=dict)
     value: object = None
@@ -99,20 +99,18 @@ def expand(spec: FieldSpec, steps: Path, leaf: Leaf, available: int | None) -> l
     assert not isinstance(selector, Key)
     start, stop = (selector, selector + 1) if isinstance(selector, int) else selector
     if stop is None:
-        stop = start + _open_end(spec, Leaf(here, kind.item, owner), rest, available)
+        if available is None:
+            raise spec.type_error(
+                "an open range takes its end from a state; give a number after ':'"
+            )
+        each = expand(spec, rest, Leaf(here, kind.item, owner), available)
+        stop = start + available // sum(leaf_size(leaf.type, spec) for leaf in each)
     if kind.most is not None and stop > kind.most:
         raise spec.type_error(f"{name} of {owner.name} has at most {count_of(kind.most)}")
     leaves: list[Leaf] = []
     for index in range(start, stop):
         leaves += expand(spec, rest, Leaf((*here, index), kind.item, owner), available)
     return leaves
-
-
-def _open_end(spec: FieldSpec, item: Leaf, rest: Path, available: int | None) -> int:
-    if available is None:
-        raise spec.type_error("an open range takes its end from a state; give a number after ':'")
-    each = expand(spec, rest, item, available)
-    return available // sum(leaf_size(leaf.type, spec) for leaf in each)
 
 
 def leaf_size(kind: TypeRef, spec: FieldSpec) -> int:
@@ -165,18 +163,10 @@ def place(root: Node, leaf: Leaf, value: object, spec: FieldSpec) -> None:
     for key in leaf.at:
         if node.value is not None:
             raise spec.state_error(f"already mapped by {node.owner}; drop one of the two")
-        node = node.children.setdefault(key, Node())
+        node = node.children.setdefault(key, Node(owner=spec.path))
     if node.value is not None or node.children:
-        owner = node.owner or next(_owners(node), "another field")
-        raise spec.state_error(f"already mapped by {owner}; drop one of the two")
-    node.value, node.owner = value, spec.path
-
-
-def _owners(node: Node) -> Iterator[str]:
-    if node.value is not None:
-        yield node.owner
-    for child in node.children.values():
-        yield from _owners(child)
+        raise spec.state_error(f"already mapped by {node.owner}; drop one of the two")
+    node.value = value
 
 
 class Template:

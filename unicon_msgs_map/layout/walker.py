@@ -29,16 +29,23 @@ class Malformed(ValueError):
 
 @dataclass
 class Want:
-    """What is wanted below one point of a message: field numbers that end here, and deeper."""
+    """What is wanted below one point of a message: field numbers that end here, and deeper.
+
+    Deeper are fields by name, and elements of an array by what selects them.
+    """
 
     ends: list[int] = field(default_factory=list)
     fields: dict[str, Want] = field(default_factory=dict)
-    items: list[tuple[Selector, Want]] = field(default_factory=list)
+    elements: dict[Selector, Want] = field(default_factory=dict)
 
     def add(self, number: int, steps: Path, kind: TypeRef) -> None:
         """Want what a path ends at, under a field number."""
         if not steps:
-            self._end(number, kind)
+            if isinstance(kind, Struct) and not kind.is_time:
+                for name, member in kind.fields.items():
+                    self.fields.setdefault(name, Want()).add(number, (), member)
+            else:
+                self.ends.append(number)
             return
         assert isinstance(kind, Struct)
         (name, selector), rest = steps[0], steps[1:]
@@ -48,18 +55,7 @@ class Want:
             below.add(number, rest, member)
             return
         assert isinstance(member, Array)
-        inner = next((want for known, want in below.items if known == selector), None)
-        if inner is None:
-            inner = Want()
-            below.items.append((selector, inner))
-        inner.add(number, rest, member.item)
-
-    def _end(self, number: int, kind: TypeRef) -> None:
-        if isinstance(kind, Struct) and not kind.is_time:
-            for name, member in kind.fields.items():
-                self.fields.setdefault(name, Want()).add(number, (), member)
-        else:
-            self.ends.append(number)
+        below.elements.setdefault(selector, Want()).add(number, rest, member.item)
 
 
 @dataclass
@@ -143,7 +139,7 @@ class _Walker:
         end = self.need(at, count * kind.size, kind.name)
         wanted = [(want, 0, count)] if want else []
         if want:
-            wanted += [(below, *_range(selector, count)) for selector, below in want.items]
+            wanted += [(each, *_range(place, count)) for place, each in want.elements.items()]
         for each, start, stop in wanted:
             for number in each.ends if start < stop else ():
                 run = (at + start * kind.size, kind, stop - start)
@@ -194,7 +190,7 @@ class _Walker:
             return self.numbers(item, at, count, want)
         if want is None:
             return self.skip(item, at, count)
-        matched: set[int] = set()
+        matched: set[Key] = set()
         for index in range(count):
             # Several selectors may meet in one element: it is walked for each.
             wants = self.below(want, item, at, index, matched) or [None]
@@ -202,16 +198,16 @@ class _Walker:
         return at
 
     def below(
-        self, want: Want, item: TypeRef, at: int, index: int, matched: set[int]
+        self, want: Want, item: TypeRef, at: int, index: int, matched: set[Key]
     ) -> list[Want | None]:
         wants: list[Want | None] = [Want(ends=want.ends)] if want.ends else []
-        for selector, inner in want.items:
+        for selector, inner in want.elements.items():
             if isinstance(selector, Key):
                 if not self.key(item, at, selector):
                     continue
-                if id(inner) in matched:
+                if selector in matched:
                     raise Malformed(f"two elements have {selector.field} {selector.value!r}")
-                matched.add(id(inner))
+                matched.add(selector)
             elif index not in range(*_range(selector, index + 1)):
                 continue
             wants.append(inner)

@@ -333,16 +333,8 @@ def _both(
 
     qos = QOS_PROFILES[entry.qos] if isinstance(entry.qos, str) else entry.qos or unsaid
     specs: list[FieldSpec] = []
-    values = {
-        "topic": entry.topic,
-        "type": entry.type,
-        "fields": (),
-        "messages": messages,
-        "rate": entry.rate,
-        "qos": qos,
-        "optional": entry.optional,
-        "where": place(),
-    }
+    values = {key: getattr(entry, key) for key in ("topic", "type", "rate", "optional")}
+    values |= {"fields": (), "messages": messages, "qos": qos, "where": place()}
     try:
         kind = full_name(entry.type or "")
         message = messages.struct(kind)
