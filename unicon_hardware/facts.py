@@ -23,7 +23,7 @@ import numpy as np
 
 from unicon_base import PlatformError, RobotError
 from unicon_base.schema.marks import Key, Size, Within
-from unicon_base.schema.records import type_of
+from unicon_base.schema.records import MadeOf, type_of
 from unicon_base.schema.types import INVALID, ListOf, MapOf, Mistakes, Number, Plain, Type
 from unicon_core.robots import Robot
 
@@ -40,17 +40,6 @@ AskingRate = Annotated[float, Key("rate_hz"), Within(1.0, 1000.0)]
 """Of frames that are asked for, in [Hz]."""
 
 
-class _Then(Type):
-    """A type whose value is made of another's; `INVALID` where it is wrong."""
-
-    def __init__(self, inner: Type, make: Callable[[Any], Any]) -> None:
-        self._inner, self._make, self.wanted = inner, make, inner.wanted
-
-    def read(self, value: Any, where: Any, mistakes: Mistakes) -> Any:
-        found = self._inner.read(value, where, mistakes)
-        return found if found is INVALID else self._make(found)
-
-
 def each(low: float, high: float, *, whole: bool = False) -> Fitted:
     """Return the mark of a number of each joint: an array, or a list of whole ones."""
 
@@ -58,7 +47,7 @@ def each(low: float, high: float, *, whole: bool = False) -> Fitted:
         n, kind = robot.num_joints, "whole numbers" if whole else "numbers"
         wanted = f"{n} {kind} from {low:g} to {high:g}, one for each joint"
         numbers = ListOf(Number(whole, Within(low, high), ""), Size(n, n), wanted)
-        return numbers if whole else _Then(numbers, np.array)
+        return numbers if whole else MadeOf(np.array, numbers, "")
 
     return fitted
 
@@ -77,7 +66,7 @@ def slots(count: int | None = None) -> Fitted:
         last = (n if count is None else count) - 1
         wanted = f"{n} different slots of 0 to {last}"
         numbers = ListOf(Number(True, Within(0, last), ""), Size(n, n), wanted)
-        return _Then(numbers, lambda found: found if len({*found}) == n else INVALID)
+        return MadeOf(lambda found: found if len({*found}) == n else INVALID, numbers, "")
 
     return fitted
 
@@ -90,14 +79,15 @@ def one_of(*words: str) -> Fitted:
 def joint_number(robot: Robot) -> Type:
     """Mark the name of a joint, of which its number is made."""
     names = robot.joint_names
-    return _Then(one_of(*names)(robot), names.index)
+    return MadeOf(names.index, one_of(*names)(robot), "")
 
 
 def named(keys: tuple[Any, ...], low: int, high: int) -> Fitted:
     """Return the mark of whole numbers by name, where `keys` have to be there."""
     wanted = f"{{{': …, '.join(map(str, keys))}: …}} of {low} to {high}"
     numbers = MapOf(Type(), Number(True, Within(low, high), ""), Size(), wanted)
-    return lambda robot: _Then(numbers, lambda found: found if {*keys} <= {*found} else INVALID)
+    made = MadeOf(lambda found: found if {*keys} <= {*found} else INVALID, numbers, "")
+    return lambda robot: made
 
 
 def fact(robot: Robot, key: str, hint: Any) -> Any:

@@ -93,7 +93,7 @@ def _load(what: str, extra: str) -> None:
     try:
         found = metadata.version("cyclonedds")
         import cyclonedds  # noqa: F401
-    except (ImportError, metadata.PackageNotFoundError) as error:
+    except ImportError as error:
         raise MissingDependencyError(what, "cyclonedds", install) from error
     if found != VERSION:
         raise PlatformError(

@@ -117,11 +117,10 @@ def body_of(
     scene = Scene(file, posture if posture != "random" else "default", seed=seed, folder=Path.cwd())
     if posture == "random":
         scene = replace(scene, pose=random_posture(robot, np.random.default_rng(seed)))
+    platform: Any = None
     path: Path | None = None
     free: Callable[[], None] | None = None
-    if model == JOINTS_ALONE:
-        platform: Any = JointsAlone(states, robot, period, scene)
-    else:
+    if model != JOINTS_ALONE:
         try:
             platform, base = _simulated(states, robot, period, scene, lift if hang else None)
             path = platform.model_path
@@ -131,7 +130,8 @@ def body_of(
             if model is not None:
                 raise
             warn(f"without a model, joints alone are emulated (--model FILE gives one): {error}")
-            platform = JointsAlone(states, robot, period, scene)
+    if platform is None:
+        platform = JointsAlone(states, robot, period, scene)
     if not still:
         noise = {name: std for name, std in NOISE.items() if name in platform.facts.writes}
         platform = disturb(platform, replace(scene, noise=noise), states, robot, period)
@@ -194,8 +194,7 @@ def _simulated(
         scene = replace(scene, gantry=True, initial_height=float(start.position[2]) + lift)
     # A whole number of steps in a tick.
     timestep = period / math.ceil(period / STEP - 1e-9)
-    platform = make(states, robot, period, scene=scene, timestep=timestep)
-    return platform, base
+    return make(states, robot, period, scene=scene, timestep=timestep), base
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,6 @@ from where it was switched on, and the absolute encoder at its joint knows where
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from unicon_base import Fault
@@ -91,14 +89,13 @@ HOTTEST = 1e3
 """[°C]: beyond it nothing is a temperature."""
 
 
-def steps() -> list[tuple[str, Callable[[int], bytes]]]:
-    """Return how actuators are enabled: gains are zero before, so that none jumps."""
-    return [
-        (f"'servo off' (control word {SERVO_OFF:#x})", lambda _: control_word(SERVO_OFF)),
-        ("'no gains' (pid_param_imm)", lambda _: loop_gains(0.0, 0.0)),
-        (f"'position mode' ({POSITION_MODE})", lambda _: mode_of_operation(POSITION_MODE)),
-        (f"'servo on' (control word {SERVO_ON:#x})", lambda _: control_word(SERVO_ON)),
-    ]
+STEPS = (
+    (f"'servo off' (control word {SERVO_OFF:#x})", lambda _: control_word(SERVO_OFF)),
+    ("'no gains' (pid_param_imm)", lambda _: loop_gains(0.0, 0.0)),
+    (f"'position mode' ({POSITION_MODE})", lambda _: mode_of_operation(POSITION_MODE)),
+    (f"'servo on' (control word {SERVO_ON:#x})", lambda _: control_word(SERVO_ON)),
+)
+"""How actuators are enabled: gains are zero before, so that none jumps."""
 
 
 class Fsa1Wire(ActuatorWire):
@@ -112,7 +109,7 @@ class Fsa1Wire(ActuatorWire):
     off_times = 3  # nothing else lets these actuators go
 
     def __init__(self, states: States, servos: Servos) -> None:
-        super().__init__(states, servos, POSITION, steps())
+        super().__init__(states, servos, POSITION, STEPS)
         n = len(servos.names)
         self._controls = self._open(self._labels, servos.addresses, servos.control_port)
         labels = tuple(f"{address} (encoder)" for address in servos.encoders)

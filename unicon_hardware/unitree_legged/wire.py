@@ -35,7 +35,7 @@ from unicon_hardware.unitree_legged.codec import (
     Frame,
     LeggedTransport,
 )
-from unicon_hardware.wire import Counts, Udp, Wire, newer
+from unicon_hardware.wire import Counts, Udp, Wire, known, newer
 
 
 class Repeater(threading.Thread):
@@ -167,8 +167,7 @@ class StateReader:
         self._effort, self._torque = states["joint_effort"], motors["tau"]
         self._mounting, self._imu = Mounting.of(robot), dict(zip(IMU_STATES, imu, strict=True))
         self._base = {name: states[name] for name in IMU_STATES}
-        self._errors = [states[name] for name in ("motor_error",) if name in states]
-        self._errors_of = b""
+        self._errors, self._errors_of = known(states, "motor_error"), b""
         self._battery: list[Float32] = []
         if "bms" in frame and "battery_charge" in states:
             self._battery = [states["battery_charge"], states["battery_voltage"]]
@@ -176,9 +175,8 @@ class StateReader:
     def good(self, datagram: bytes) -> bool:
         """Return whether it is good and new; it is counted where it is not."""
         frame, link, refuse = self._frame, self._link, self._counts.refuse
-        wanted = self.length
-        if len(datagram) != wanted:
-            what = f"{len(datagram)} bytes instead of {wanted}"
+        if len(datagram) != self.length:
+            what = f"{len(datagram)} bytes instead of {self.length}"
             if other := _COMMAND_BYTES.get(len(datagram)):
                 what += f": a robot that takes {other} bytes, of another generation"
             refuse("wrong length", what)
@@ -218,8 +216,8 @@ class StateReader:
         if modes != self._errors_of:
             self._errors_of, link = modes, self._link
             fine = (self.modes == link.servo) | (self.modes == link.damping)
-            for view in self._errors:
-                view[...] = np.where(fine, 0, self.modes)
+            if self._errors is not None:
+                self._errors[...] = np.where(fine, 0, self.modes)
         if self._battery:
             bms = self._frame["bms"]
             charge, voltage = self._battery

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from unicon_base import AnyDict, MissingDependencyError, ModelError, one_line
+from unicon_base import AnyDict, ModelError, imported, one_line
 from unicon_core.models.load import effort_ranges
 from unicon_core.platforms.kit.command import strength_of
 from unicon_core.platforms.kit.stepped import (
@@ -256,13 +256,10 @@ def make(
     """
     # Else JAX takes most of a GPU's memory for itself.
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
-    try:
-        with quiet():  # it tells that warp is not there
-            import jax
-            import mujoco.mjx  # noqa: F401
-    except ImportError as error:
-        install = "pip install 'unicon_ros[sim-mjx]'"
-        raise MissingDependencyError("platform 'mjx'", "mujoco-mjx", install) from error
+    what = "platform 'mjx'", "sim-mjx", "mujoco-mjx"
+    with quiet():  # it tells that warp is not there
+        jax = imported("jax", *what)
+        imported("mujoco.mjx", *what)
     if jax.config.jax_compilation_cache_dir is None:  # nobody wants it elsewhere
         home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         # With compiled physics kept there, the next start is four times as quick.
