@@ -47,7 +47,14 @@ def emulate(arguments: argparse.Namespace) -> int:
             f"one of {', '.join(sorted(known('faces')))}, or your own module:function"
         )
     factory = find_factory("faces", name, PlatformError)
-    robot = _told(robot, arguments.variant)
+    if arguments.variant is not None:
+        if "mode_machine" not in robot.transport:
+            raise RobotError(
+                f"robot {robot.name} does not tell its variant ({robot.path} says no "
+                "transport.mode_machine); leave --variant out"
+            )
+        transport = {**robot.transport, "mode_machine": arguments.variant}
+        robot = replace(robot, transport=transport)
     emulator = emulated(
         robot,
         factory,
@@ -86,18 +93,6 @@ def _options(arguments: argparse.Namespace, factory: Any, name: str) -> AnyDict:
     elif arguments.address:
         raise UniconError(f"face {name!r} has no address; leave --address out")
     return options
-
-
-def _told(robot: Robot, variant: int | None) -> Robot:
-    """Return the robot as it says that it is."""
-    if variant is None:
-        return robot
-    if "mode_machine" not in robot.transport:
-        raise RobotError(
-            f"robot {robot.name} does not tell its variant ({robot.path} says no "
-            "transport.mode_machine); leave --variant out"
-        )
-    return replace(robot, transport={**robot.transport, "mode_machine": variant})
 
 
 def _defects(arguments: argparse.Namespace, robot: Robot) -> Defects:

@@ -73,12 +73,17 @@ def addressed(kind: type[A], robot: Robot, network: str, **given: Any) -> A:
     Raises:
         RobotError: a fact is missing or wrong.
     """
-    listed = fact(robot, "actuators", Annotated[list[str], each_text])
-    where = addresses(robot, "actuators", listed, network)
+    where = of_actuators(robot, network)
     found = facts_of(kind, robot, names=robot.joint_names, addresses=where, **given)
     if not (np.abs(found.signs) == 1.0).all():
         raise wrong_fact(robot, "actuator_sign", "1 or -1 for each joint")
     return found
+
+
+def of_actuators(robot: Robot, network: str) -> tuple[str, ...]:
+    """Return the addresses of the actuators; see `addresses`."""
+    listed = fact(robot, "actuators", Annotated[list[str], each_text])
+    return addresses(robot, "actuators", listed, network)
 
 
 def complete(robot: Robot, version: int, keys: tuple[str, ...], why: str) -> None:

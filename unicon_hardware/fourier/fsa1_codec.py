@@ -22,7 +22,13 @@ from unicon_base.arrays import Float64
 from unicon_base.schema.marks import Key, Size, Within, Write
 from unicon_core.robots import Robot
 from unicon_hardware.facts import Port, each, fact
-from unicon_hardware.fourier.actuator_wire import Addressed, addressed, addresses, complete
+from unicon_hardware.fourier.actuator_wire import (
+    Addressed,
+    addressed,
+    addresses,
+    complete,
+    of_actuators,
+)
 from unicon_hardware.wire import frame_type
 
 ENABLE, POSITION, STATE, ERROR = 0x01, 0x0A, 0x1A, 0x1B
@@ -147,10 +153,14 @@ class Servos(Addressed):
                 "joints' encoders"
             )
         encoders = addresses(robot, "encoders", tuple(map(str, listed)), network)
+        if set(encoders) & set(of_actuators(robot, network)):
+            raise RobotError(
+                f"robot {robot.name}: transport.encoders names an address of transport.actuators"
+            )
         signs = _each(robot, "encoder_sign", len(encoders), 1.0)
         if not (np.abs(signs) == 1.0).all():
             raise RobotError(f"robot {robot.name}: transport.encoder_sign is not 1 or -1 for each")
-        found = addressed(
+        return addressed(
             cls,
             robot,
             network,
@@ -158,11 +168,6 @@ class Servos(Addressed):
             encoder_degrees=signs * _each(robot, "encoder_ratio", len(encoders), 1e3),
             encoder_zero=_each(robot, "encoder_zero", len(encoders), 360.0),
         )
-        if set(encoders) & set(found.addresses):
-            raise RobotError(
-                f"robot {robot.name}: transport.encoders names an address of transport.actuators"
-            )
-        return found
 
     @cached_property
     def speed(self) -> Float64:

@@ -303,13 +303,13 @@ class ModbusConnection(Line):
         self._data.clear()
 
 
-def open_tcp(address: str, port: int, timeout: float = 1.0) -> ModbusConnection:
+def open_tcp(address: str, port: int) -> ModbusConnection:
     """Connect.
 
     Raises:
         OSError: nobody listens there.
     """
-    connection = socket.create_connection((address, port), timeout)
+    connection = socket.create_connection((address, port), timeout=1.0)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return ModbusConnection(connection.fileno(), Tcp(), connection.close)
 

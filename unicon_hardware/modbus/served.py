@@ -72,7 +72,8 @@ class TcpServer:
         reach: options of a platform that lead here.
     """
 
-    def __init__(self, port: int = 0, address: str = "127.0.0.1") -> None:
+    def __init__(self, port: int = 0) -> None:
+        address = "127.0.0.1"
         self._listening = socket.create_server((address, port))
         self._listening.setblocking(False)
         self.port = int(self._listening.getsockname()[1])

@@ -87,6 +87,7 @@ class UnitreeEndpoint(DdsEndpoint):
 
     Attributes:
         where: topic and domain.
+        dead_man: infinity unless given: what the robots do is not public.
         mode: of that controller, "" where it has let go.
         counts: of commands.
         modes: of the motors; 0 only where its own controller has let go before the first command.
@@ -119,7 +120,7 @@ class UnitreeEndpoint(DdsEndpoint):
             dead_man = within(dead_man, label, "s", LONGEST, 1.0 / facts.rate)
         self.mode = mode
         self._variant = (facts.mode_machine or 0) if variant is None else variant
-        self._dead_man = math.inf if dead_man is None else dead_man
+        self.dead_man = math.inf if dead_man is None else dead_man
         self.held: Remote | None = None
         self.asked: dict[str, list[int]] = {}
         self.clock = Milliseconds(TICK_MS)
@@ -145,11 +146,6 @@ class UnitreeEndpoint(DdsEndpoint):
         self._imu = {name: np.array(states[name]) for name in IMU_STATES}
         if facts.waist is not None:
             own |= self._imu
-
-    @property
-    def dead_man(self) -> float:
-        """Infinity unless given: what the robots do is not public."""
-        return self._dead_man
 
     @property
     def obeys(self) -> bool:

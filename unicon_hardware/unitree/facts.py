@@ -196,13 +196,13 @@ class _End(ServiceEnd):
 class Client(_End):
     """Asks a robot's service, one request at a time, without waiting; as `ServiceEnd`."""
 
-    def prepare(self, number: int, parameter: str = "{}") -> None:
+    def prepare(self, number: int) -> None:
         """Make a request that wants a response, which is told by `answer`."""
         part = self._part
         identity = part("RequestIdentity", time.monotonic_ns(), number)
         policy = part("RequestPolicy", 0, False)
         header = part("RequestHeader", identity, part("RequestLease", 0), policy)
-        self._asked = part("Request", header, parameter, np.zeros(0, np.uint8))
+        self._asked = part("Request", header, "{}", np.zeros(0, np.uint8))
 
     def ask(self) -> None:
         """Send the request, or send it once more; the first answer to either counts."""
@@ -239,9 +239,8 @@ TRIES = 5
 CODES = {
     3203: "the service does not know the request; its firmware is another generation",
     3204: "the service does not take its parameter",
-    3205: "another program holds the service's lease; end it",
+    **dict.fromkeys((3205, 3207), "another program holds the service's lease; end it"),
     3206: "the lease is not there; end the programs that use the robot",
-    3207: "another program holds the service's lease; end it",
 }
 """What the vendor's services answer, with remedy (unitree_sdk2py/rpc/internal.py)."""
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, TypeAlias
 
 import numpy as np
@@ -186,10 +186,11 @@ LONGEST = 0.3
 _UNIT = 0.05
 
 
+@dataclass(eq=False)
 class Target:
     """The target of one end effector.
 
-    Args:
+    Attributes:
         effector: its name, for what is told.
         pose: position in [m] and quaternion wxyz, shape (7,).
         velocity: in [m/s] and [rad/s], shape (6,).
@@ -199,21 +200,15 @@ class Target:
         tell: takes one line, once for each time that it is refused.
     """
 
+    effector: str
+    pose: Array
+    velocity: Array
+    stamp_ns: Array
+    turns: bool
+    look_ahead: float
+    tell: TextSink
+    _told: bool = field(default=False, init=False)
     memory = ("_told",)
-
-    def __init__(
-        self,
-        effector: str,
-        pose: Array,
-        velocity: Array,
-        stamp_ns: Array,
-        turns: bool,
-        look_ahead: float,
-        tell: TextSink,
-    ) -> None:
-        self._effector, self._turns, self._tell = effector, turns, tell
-        self._pose, self._velocity, self._stamp = pose, velocity, stamp_ns
-        self._look_ahead, self._told = look_ahead, False
 
     def __call__(self, now_ns: int) -> Pose | None:
         """Return the target as it will be, None where there is none.
@@ -221,8 +216,8 @@ class Target:
         Args:
             now_ns: time of the robot's data.
         """
-        x, y, z, *quat = self._pose.tolist()
-        if not self._turns:
+        x, y, z, *quat = self.pose.tolist()
+        if not self.turns:
             quat = [1.0, 0.0, 0.0, 0.0]
         if math.isnan(x + y + z) or any(map(math.isnan, quat)):
             self._told = False
@@ -233,17 +228,17 @@ class Target:
                 self._told = True
                 finite = math.isfinite(x) and math.isfinite(y) and math.isfinite(z)
                 what = f"quaternion of length {length:.3g}" if finite else f"position {[x, y, z]}"
-                self._tell(
-                    f"reach: {self._effector}_target has a {what}, which counts as no target; "
+                self.tell(
+                    f"reach: {self.effector}_target has a {what}, which counts as no target; "
                     "write finite [m] and a unit quaternion, w first, or NaN for none"
                 )
             return None
         self._told = False
         quat = [each / length for each in quat]
-        stamp = int(self._stamp)
+        stamp = int(self.stamp_ns)
         age = 1e-9 * (now_ns - stamp) if stamp else 0.0
-        ahead = min(max(self._look_ahead + max(age, 0.0), 0.0), LONGEST)
-        velocity = self._velocity.tolist()
+        ahead = min(max(self.look_ahead + max(age, 0.0), 0.0), LONGEST)
+        velocity = self.velocity.tolist()
         if not ahead or not all(map(math.isfinite, velocity)) or not any(velocity):
             return (x, y, z), quat
         vx, vy, vz, *turning = velocity

@@ -325,8 +325,12 @@ class Arm:
             self._kind = kind
         clutch = self._clutches[kind]
         was = clutch.engaged
-        if clutch(self.theirs.closed) and not was and not self._engage(headset, ours):
-            clutch.drop()
+        if clutch(self.theirs.closed) and not was:
+            yaw = headset.heading()
+            if yaw is None:
+                clutch.drop()
+            else:
+                hand.engage(self.theirs.position, self.theirs.quat, yaw, ours)
         if clutch.engaged:
             if was:
                 hand.follow(self.theirs.position, self.theirs.quat, headset.dt)
@@ -337,10 +341,3 @@ class Arm:
             self._velocity[:3], self._velocity[3:] = hand.velocity, hand.spin
             self._stamp[...] = stamp
         return clutch.engaged
-
-    def _engage(self, headset: Headset, ours: tuple[Vector, Quat]) -> bool:
-        yaw = headset.heading()
-        if yaw is None:
-            return False
-        self.hand.engage(self.theirs.position, self.theirs.quat, yaw, ours)
-        return True

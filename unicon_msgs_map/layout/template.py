@@ -197,7 +197,7 @@ class Template:
         if isinstance(kind, Primitive):
             self._primitive(kind, node)
         elif isinstance(kind, String):
-            self._string(kind, node)
+            self._string(node)
         elif isinstance(kind, Struct):
             self._struct(kind, node)
         else:
@@ -238,7 +238,7 @@ class Template:
             value = None
         self.data += struct.pack("<" + kind.code, 0 if value is None else value)
 
-    def _string(self, kind: String, node: Node | None) -> None:
+    def _string(self, node: Node | None) -> None:
         self._align(4)
         value = node.value if node else None
         if isinstance(value, Place):

@@ -7,6 +7,7 @@ Newton has readers of URDF and MJCF of its own, but what a workflow simulates is
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
@@ -94,29 +95,29 @@ def not_told(start: Start) -> list[str]:
     return [f"left out: {what}" for what, there in found.items() if there]
 
 
+@dataclass
 class _Builder:
-    def __init__(
-        self, newton: Any, warp: Any, start: Start, robot: Robot, figures: JointModel
-    ) -> None:
-        self._newton = newton
-        self._warp = warp
-        self._start = start
-        self._model = start.loaded.model
-        self._figures = figures
-        self._robot = robot
-        self._builder = newton.ModelBuilder(gravity=warp.vec3(*start.gravity))
-        newton.solvers.SolverMuJoCo.register_custom_attributes(self._builder)
+    newton: Any
+    warp: Any
+    start: Start
+    robot: Robot
+    figures: JointModel
+
+    def __post_init__(self) -> None:
+        self._model = self.start.loaded.model
+        self._builder = self.newton.ModelBuilder(gravity=self.warp.vec3(*self.start.gravity))
+        self.newton.solvers.SolverMuJoCo.register_custom_attributes(self._builder)
         self._shapes: dict[int, int] = {}  # geom -> shape
 
     def build(self) -> tuple[Any, dict[str, int]]:
         builder = self._builder
         model = self._model
-        links = physical_links(read_tree(model, self._robot, colliding=True))
+        links = physical_links(read_tree(model, self.robot, colliding=True))
         bodies: list[int] = []
         joints: dict[str, int] = {}
         order = []
         for number, link in enumerate(links):
-            if number == 0 and not self._start.floating:
+            if number == 0 and not self.start.floating:
                 bodies.append(_WORLD)
             else:
                 bodies.append(self._body(link))
@@ -126,7 +127,7 @@ class _Builder:
             for geom in dict.fromkeys(geom.number for geom in link.geoms):
                 first = next(one for one in link.geoms if one.number == geom)
                 self._shape(bodies[-1], geom, self._place(geom, first.position), first.quat)
-        builder.add_articulation(order, label=self._robot.name)
+        builder.add_articulation(order, label=self.robot.name)
         mujoco = import_mujoco()
         quat = np.zeros(4)
         data = mujoco.MjData(model)
@@ -144,8 +145,8 @@ class _Builder:
         inertia = turn @ np.diag(link.inertia) @ turn.T
         return self._builder.add_link(
             mass=link.mass,
-            com=self._warp.vec3(*link.centre),
-            inertia=self._warp.mat33(*inertia.ravel()),
+            com=self.warp.vec3(*link.centre),
+            inertia=self.warp.mat33(*inertia.ravel()),
             label=link.name,
             lock_inertia=True,
         )
@@ -155,19 +156,19 @@ class _Builder:
         body = bodies[-1]
         if link.parent < 0:
             joint = builder.add_joint_free(body, label="base")
-            w, x, y, z = self._start.quat
-            self._begin(joint, *self._start.position, x, y, z, w)
+            w, x, y, z = self.start.quat
+            self._begin(joint, *self.start.position, x, y, z, w)
             return joint
         where = {"parent_xform": self._transform(link.position, link.quat)}
         parent = bodies[link.parent]
         if not link.joint:
             return builder.add_joint_fixed(parent, body, **where)
         add = builder.add_joint_prismatic if link.sliding else builder.add_joint_revolute
-        axis = self._warp.vec3(*link.axis)
+        axis = self.warp.vec3(*link.axis)
         says = self._figures_of(link)
         joint = add(parent, body, **where, axis=axis, label=link.joint, **says)
         others = self._model.qpos0[self._model.jnt_qposadr[link.number]]
-        self._begin(joint, self._start.joint_pos[link.index] if link.index >= 0 else others)
+        self._begin(joint, self.start.joint_pos[link.index] if link.index >= 0 else others)
         return joint
 
     def _begin(self, joint: int, *coordinates: float) -> None:
@@ -179,7 +180,7 @@ class _Builder:
     def _figures_of(self, link: Link) -> AnyDict:
         """Return what Newton is told of a joint; it has no drive of its own."""
         model = self._model
-        figures = self._figures
+        figures = self.figures
         at = link.index
         dof = int(model.jnt_dofadr[link.number])
         words = ("armature", "damping", "friction", "lower", "upper")
@@ -195,7 +196,7 @@ class _Builder:
             "rest_q": float(model.qpos_spring[model.jnt_qposadr[link.number]]),
             "target_ke": 0.0,
             "target_kd": 0.0,
-            "actuator_mode": self._newton.JointTargetMode.NONE,
+            "actuator_mode": self.newton.JointTargetMode.NONE,
             "custom_attributes": {
                 **self._same(_OF_JOINT, link.number),
                 **self._same(_OF_DOF, dof),
@@ -227,7 +228,7 @@ class _Builder:
         else:
             return
         slide, turn, roll = map(float, model.geom_friction[geom])
-        config = self._newton.ModelBuilder.ShapeConfig(
+        config = self.newton.ModelBuilder.ShapeConfig(
             density=0.0,
             mu=slide,
             mu_torsional=turn,
@@ -255,7 +256,7 @@ class _Builder:
         count = int(model.mesh_vertnum[mesh])
         face = int(model.mesh_faceadr[mesh])
         faces = int(model.mesh_facenum[mesh])
-        return self._newton.Mesh(
+        return self.newton.Mesh(
             np.array(model.mesh_vert[first : first + count], np.float32),
             np.array(model.mesh_face[face : face + faces], np.int32).ravel(),
             compute_inertia=False,
@@ -296,8 +297,8 @@ class _Builder:
     def _transform(self, position: Float64, quat: Float64) -> Any:
         """Return a pose with the quaternion xyzw."""
         w, x, y, z = map(float, quat)
-        place = self._warp.vec3(*map(float, position))
-        return self._warp.transform(place, self._warp.quat(x, y, z, w))
+        place = self.warp.vec3(*map(float, position))
+        return self.warp.transform(place, self.warp.quat(x, y, z, w))
 
     def _same(self, arrays: Mapping[str, str], place: int) -> AnyDict:
         """Return what arrays of the model have at a place, as Newton takes it.
@@ -306,7 +307,7 @@ class _Builder:
             arrays: Newton's words to names of the arrays.
             place: number of the geom, joint or pair.
         """
-        warp = self._warp
+        warp = self.warp
         vectors = {2: warp.vec2, 5: warp.types.vector(5, warp.float32)}
         says = {}
         for word, array in arrays.items():
