@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from unicon_base import RobotError
-from unicon_base.arrays import Array, Index
+from unicon_base.arrays import Index
 from unicon_base.schema.marks import Key, Text
 from unicon_core.robots import Robot
 from unicon_hardware.dds.maps import (
@@ -24,7 +24,6 @@ from unicon_hardware.dds.maps import (
     Frames,
     Message,
     motors,
-    zeros,
 )
 from unicon_hardware.facts import fact, facts_of, named, one_of, slots, wrong_fact
 from unicon_hardware.wire import Counts
@@ -65,6 +64,7 @@ class BoosterFacts(DdsFacts):
     modes: Annotated[dict[str, int], Key("robot_modes"), named(MODES, 0, 255)]
     requests: Annotated[dict[str, int], Key("rpc"), named(REQUESTS, 0, 65535)]
     servo: Index
+    arrays = "rpy f4 3, mode i4, cmd_type u4"
 
     @classmethod
     def of(cls, robot: Robot) -> BoosterFacts:
@@ -74,10 +74,6 @@ class BoosterFacts(DdsFacts):
             RobotError: one lacks, or is not what it must be.
         """
         return facts_of(cls, robot, servo=_servo(robot, fact(robot, "motors", SLOTS)))
-
-    def own(self, joints: int) -> dict[str, Array]:
-        """Return the arrays of the messages that are not states, zero."""
-        return zeros("rpy f4 3, mode i4, cmd_type u4")
 
     def mode_name(self, number: int) -> str:
         """Return what a mode of the robot is called, its number where that is not known."""

@@ -123,8 +123,12 @@ COMMANDS = {
 """Field of MotorCmd, which Unitree, PND and Dobot call the same, to state."""
 MEASURED = {"q": "joint_pos", "dq": "joint_vel", "tau_est": "joint_effort"}
 """Field of MotorState to state."""
-IMU = {"quaternion": "base_quat", "gyroscope": "base_ang_vel", "accelerometer": "base_lin_acc"}
-"""Field of IMUState to state."""
+IMU = {
+    "imu_state.quaternion": "base_quat",
+    "imu_state.gyroscope": "base_ang_vel",
+    "imu_state.accelerometer": "base_lin_acc",
+}
+"""Path of a field of IMUState to state."""
 
 
 def arrays_of(states: States) -> dict[str, Array]:
@@ -240,7 +244,14 @@ def _sent(said: Any) -> Any:
 
 
 class Messages:
-    """Messages of robot and driver: the base of facts that have `state` and `command`."""
+    """Messages of robot and driver: the base of facts that have `state` and `command`.
+
+    Attributes:
+        arrays: table of the arrays of the messages that are not states, as of `zeros`; `{n}` stands
+            for the number of joints, and `{twice}` for two of each.
+    """
+
+    arrays = ""
 
     @property
     def state(self) -> Message:
@@ -254,7 +265,7 @@ class Messages:
 
     def own(self, joints: int) -> dict[str, Array]:
         """Return the arrays of the messages that are not states, zero."""
-        return {}
+        return zeros(self.arrays.format(n=joints, twice=2 * joints)) if self.arrays else {}
 
     def state_in(self, arrays: Arrays, counts: Counts) -> Any:
         """Return what reads the state into those arrays that are there."""

@@ -71,9 +71,8 @@ class Half(Messages):
             fields["is_upper_control"] = "upper_control"
             name = "dobot_atom.msg.dds_.UpperState_"
             return Message(self.state_topic, self.state_type, fields, name=name)
-        fields |= {f"imu_state.{field}": name for field, name in IMU.items()}
-        fields["imu_state.gyroscope"] = {"state": IMU["gyroscope"], "unit": "deg/s"}
-        fields |= {"fsm_id": "fsm_id", "wireless_remote": "remote"}
+        fields |= IMU | {"fsm_id": "fsm_id", "wireless_remote": "remote"}
+        fields["imu_state.gyroscope"] = {"state": "base_ang_vel", "unit": "deg/s"}
         fields["bms_state.battery_level"] = {"state": "battery_charge", "scale": 0.01}
         return Message(self.state_topic, self.state_type, fields, orientation="base_quat")
 

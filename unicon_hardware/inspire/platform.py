@@ -62,7 +62,7 @@ def registers_of(robot: Robot) -> HandRegisters:
     )
 
 
-NAME, MODBUS = "inspire", "inspire"
+NAME = MODBUS = "inspire"
 SILENCE = 0.2
 """In [s]: 20 answers, or states, at 100 Hz."""
 TOLD = {

@@ -19,7 +19,6 @@ from typing import Annotated
 
 import numpy as np
 
-from unicon_base.arrays import Array
 from unicon_base.schema.marks import Key, Within
 from unicon_core.blocks.controls.device import pnd
 from unicon_core.platforms.kit.base import IMU_STATES, Mounting
@@ -36,7 +35,6 @@ from unicon_hardware.dds.maps import (
     DdsFacts,
     Message,
     motors,
-    zeros,
 )
 from unicon_hardware.facts import Octet, slots
 from unicon_hardware.wire import Counts, newer
@@ -66,10 +64,7 @@ class PndFacts(DdsFacts):
     modes: Annotated[Octet, Key("motor_mode")]
     mode_pr: Annotated[int, Within(0, 1)]
     battery: bool = False
-
-    def own(self, joints: int) -> dict[str, Array]:
-        """Return the arrays that are not states, zero."""
-        return zeros(f"remote f4 {REMOTE}, tick u4, modes u1 {joints}, mode_pr u1")
+    arrays = f"remote f4 {REMOTE}, tick u4, modes u1 {{n}}, mode_pr u1"
 
     @property
     def state(self) -> Message:
@@ -79,7 +74,7 @@ class PndFacts(DdsFacts):
         return Message(
             self.state_topic,
             STATES[self.battery],
-            {f"imu_state.{key}": name for key, name in IMU.items()}
+            IMU
             | motors("motor_state", self.slots, motor)
             | {"tick": "tick", "wireless_remote": "remote"},
             sent=sent if self.battery else {},

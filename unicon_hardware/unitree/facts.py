@@ -19,7 +19,7 @@ import numpy as np
 from unicon_base import AnyDict, AnyMapping, Fault
 from unicon_base.schema.marks import Key, Size, Within, Write
 from unicon_core.robots import Robot
-from unicon_hardware.dds.maps import COMMANDS, IMU, MEASURED, DdsFacts, Message, motors, zeros
+from unicon_hardware.dds.maps import COMMANDS, IMU, MEASURED, DdsFacts, Message, motors
 from unicon_hardware.dds.participant import Participant
 from unicon_hardware.dds.service import Procedure, ServiceEnd
 from unicon_hardware.facts import (
@@ -69,13 +69,9 @@ class UnitreeFacts(DdsFacts):
     waist: Annotated[int | None, Key("waist_joint"), joint_number] = None
     battery: bool = False
     mode_machine: Annotated[int | None, Within(0, 255)] = None
-
-    def own(self, joints: int) -> AnyDict:
-        """Return the arrays of the messages that are not states, zero."""
-        return zeros(
-            f"tick u4, mode_machine u1, mode_pr u1, modes u1 {joints}, "
-            f"temperatures i2 {2 * joints}, remote u1 40"
-        )
+    arrays = (
+        "tick u4, mode_machine u1, mode_pr u1, modes u1 {n}, temperatures i2 {twice}, remote u1 40"
+    )
 
     @property
     def go(self) -> bool:
@@ -85,8 +81,7 @@ class UnitreeFacts(DdsFacts):
     @property
     def state(self) -> Message:
         """LowState."""
-        fields: AnyDict = {f"imu_state.{key}": name for key, name in IMU.items()}
-        fields |= {"tick": "tick", "wireless_remote": "remote"}
+        fields: AnyDict = IMU | {"tick": "tick", "wireless_remote": "remote"}
         told = MEASURED | {"mode": "modes"}
         if self.go:
             told["temperature"] = "motor_temperature"

@@ -21,12 +21,11 @@ from typing import Annotated
 
 import numpy as np
 
-from unicon_base.arrays import Array
 from unicon_base.schema.marks import Key, Within
 from unicon_core.platforms.platform import Facts
 from unicon_core.states.standard import JOINT_STATES
 from unicon_hardware.dds.end import DdsEndpoint, DdsWire, factory_of
-from unicon_hardware.dds.maps import COMMANDS, MEASURED, DdsFacts, Message, motors, zeros
+from unicon_hardware.dds.maps import COMMANDS, MEASURED, DdsFacts, Message, motors
 from unicon_hardware.facts import slots
 from unicon_hardware.wired_robot import WiredRobot
 
@@ -50,15 +49,12 @@ class Dex3Facts(DdsFacts):
 
     slots: Annotated[list[int], Key("motors"), slots(MOTORS)]
     status: Annotated[int, Within(0, 7)]
+    arrays = "temperatures f4 {twice}, modes u1 {n}"
 
     @property
     def modes(self) -> list[int]:
         """Byte `mode` of each joint's motor that shall run."""
         return [slot | self.status << 4 for slot in self.slots]
-
-    def own(self, joints: int) -> dict[str, Array]:
-        """Return the arrays that are not states: two temperatures of each motor, and its mode."""
-        return zeros(f"temperatures f4 {2 * joints}, modes u1 {joints}")
 
     @property
     def state(self) -> Message:

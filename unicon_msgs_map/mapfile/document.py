@@ -35,14 +35,6 @@ QOS_PROFILES: dict[str, Qos] = {
 }
 
 
-def _wrong_sign(sign: float) -> str:
-    return "" if abs(sign) == 1.0 else f"is {sign:g}; write 1 or -1, and other factors as scale"
-
-
-def _wrong_scale(scale: float) -> str:
-    return "" if scale else "is 0; drop the field instead"
-
-
 def _wrong_text(form: str) -> str:
     if any(len(n) > 2 or int(n) > WIDEST_TEXT for n in re.findall(r"[0-9]+", form)):
         return f"is {form[:40]!r}, wider than {WIDEST_TEXT}; write 8.2f"
@@ -60,8 +52,13 @@ def _wrong_constant(value: Any) -> str:
 
 
 Offset = Annotated[float, Within(-LARGEST, LARGEST)]
-Scale = Annotated[Offset, Checked(_wrong_scale)]
-Sign = Annotated[float, Checked(_wrong_sign)]
+Scale = Annotated[Offset, Checked(lambda x: "" if x else "is 0; drop the field instead")]
+Sign = Annotated[
+    float,
+    Checked(
+        lambda x: "" if abs(x) == 1.0 else f"is {x:g}; write 1 or -1, and other factors as scale"
+    ),
+]
 Constant = Annotated[Any, Checked(_wrong_constant)]
 """A reference such as `joint_pos[3:6]`, `$joint_names` or `=text`, or a number, boolean or list."""
 
