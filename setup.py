@@ -131,7 +131,10 @@ def data_files() -> list[tuple[str, list[str]]]:
     return [marker, *sorted(share.items())]
 
 
-BESIDE = (".cpp", ".h", ".html", ".js", ".json", ".msg", ".txt", ".yaml", "py.typed")
+BESIDE = (
+    *(".cpp", ".csv", ".h", ".html", ".js", ".json", ".mplstyle", ".msg", ".txt", ".xml", ".yaml"),
+    "py.typed",
+)
 """Endings of files beside the code."""
 
 
