@@ -43,72 +43,10 @@ IMU_POSITION = (0.05, 0.02, 0.03)
 STAND: AnyMapping = {"floating": False, "model": {"gravity": 0.0}}
 """Of a robot whose joints alone move."""
 
-_ROBOT = """\
-schema: unicon.robot/1
-name: probe
-description: box with a limb of two links, an arm and a mast
-manufacturer: unicon_ros
-kind: {kind}
-models: {{}}
-base_frame: box
-joints:
-{joints}
-imu: {{frame: imu, position: {imu}, quat: [1, 0, 0, 0]}}
-{feet}transport: {{protocol: none}}
-sources: {{joints: ours, gains: ours, default: ours, rest: ours, imu: ours, feet: ours,
-  transport: ours}}
-unknown: []
-"""
-
 _JOINT = (
     "  - {{name: {name}, lower: {lower}, upper: {upper}, velocity: 60.0, effort: {effort}, "
     "default: 0.0, rest: 0.0, stiffness: 10.0, damping: 0.5}}"
 )
-
-_MODEL = """
-<mujoco model="probe">
-  <compiler angle="radian" autolimits="true"/>
-  <option timestep="0.001" gravity="0 0 {gravity}" cone="elliptic" impratio="10"/>
-  <default>
-    <geom contype="0" conaffinity="0" friction="{friction} 0.005 0.0001"/>
-    <joint range="{lower} {upper}" {joint}/>
-  </default>
-  <worldbody>
-    <geom name="floor" type="plane" size="0 0 1" contype="1" conaffinity="1"/>
-    <body name="box" pos="0 0 {height}" quat="{quat}">
-      {base}
-      <inertial pos="0.02 -0.01 0.01" mass="6" diaginertia="0.08 0.1 0.14"/>
-      <geom type="box" size="0.2 0.15 0.05" contype="1" conaffinity="1"/>
-      <body name="mast" pos="0 0 0.06">
-        <joint name="yaw" axis="0 0 1"/>
-        <inertial pos="0.1 0 0" mass="0.5" diaginertia="0.001 0.003 0.003"/>
-        <geom type="capsule" size="0.02" fromto="0.03 0 0 0.18 0 0"/>
-      </body>
-      <body name="arm" pos="-0.2 -0.1 0.05">
-        <joint name="right" axis="1 0 0"/>
-        <inertial pos="0 0 0.1" mass="0.6" diaginertia="0.004 0.004 0.001"/>
-        <geom type="capsule" size="0.02" fromto="0 0 0.03 0 0 0.2"/>
-      </body>
-      <body name="thigh" pos="0.2 0.1 0.05">
-        <joint name="left" axis="0 1 0"/>
-        <inertial pos="0 0 0.1" mass="0.8" diaginertia="0.005 0.005 0.001"/>
-        <geom type="capsule" size="0.02" fromto="0 0 0.03 0 0 0.17"/>
-        <body name="shank" pos="0 0 0.2">
-          <joint name="knee" axis="0 1 0"/>
-          <inertial pos="0 0 0.1" mass="0.4" diaginertia="0.003 0.003 0.001"/>
-          <geom type="box" size="0.02 0.02 0.08" pos="0 0 0.1"/>
-        </body>
-      </body>
-    </body>
-  </worldbody>
-  <actuator>
-    <motor joint="right"/>
-    <motor joint="knee"/>
-    <motor joint="yaw" {motor}/>
-    <motor joint="left"/>
-  </actuator>
-</mujoco>
-"""
 
 
 class Told(dict[str, Array]):
@@ -168,10 +106,11 @@ class Rig:
         file, path = folder / "probe.yaml", folder / "probe.xml"
         joints = "\n".join(_JOINT.format(name=name, effort=effort, **says) for name in order)
         kind, feet = ("quadruped", "feet: [box]\n") if floating else ("arm", "")
-        robot = _ROBOT.format(kind=kind, joints=joints, imu=list(IMU_POSITION), feet=feet)
-        file.write_text(robot, "utf-8")
         base = "<freejoint/>" if floating else ""
-        path.write_text(_MODEL.format(base=base, **says), "utf-8")
+        says |= {"kind": kind, "joints": joints, "imu": list(IMU_POSITION), "feet": feet}
+        for each in (file, path):  # the templates have the same names beside this module
+            template = Path(__file__).with_name(each.name).read_text("utf-8")
+            each.write_text(template.format(base=base, **says), "utf-8")
         self.robot: Robot = load_robot(str(file))
         self.states = States(standard_states(self.robot.joint_names), num_robots)
         self.period = steps * TIMESTEP
