@@ -27,20 +27,9 @@ _TYPES = {
 _NOTES = {"bool": "0 or 1", "float16": "the bits of a half"}
 
 # Keywords of C23 and C++23, then what gcc and the C library define as macros in small letters.
-_WORDS = """
-alignas alignof and and_eq asm atomic_cancel atomic_commit atomic_noexcept auto bitand bitor
-bool break case catch char char8_t char16_t char32_t class co_await co_return co_yield compl
-concept const const_cast consteval constexpr constinit continue decltype default delete do
-double dynamic_cast else enum explicit export extern false float for friend goto if inline int
-long mutable namespace new noexcept not not_eq nullptr operator or or_eq private protected
-public reflexpr register reinterpret_cast requires restrict return short signed sizeof static
-static_assert static_cast struct switch synchronized template this thread_local throw true try
-typedef typeid typename typeof typeof_unqual union unsigned using virtual void volatile wchar_t
-while xor xor_eq
-alloca errno linux offsetof st_atime st_ctime st_mtime stderr stdin stdout strdupa strndupa unix
-be16toh be32toh be64toh htobe16 htobe32 htobe64 htole16 htole32 htole64 le16toh le32toh le64toh
-"""
-_TAKEN = frozenset(_WORDS.split())
+_TAKEN = frozenset(
+    Path(__file__).with_name("c").joinpath("reserved_words.txt").read_text("ascii").split()
+)
 
 
 def field_names(names: Iterable[str]) -> dict[str, str]:
