@@ -1,15 +1,19 @@
 """The standard vocabulary: the states that every robot of n joints has, and those of end effectors.
 
-Names, units and frames are those of REP-103, REP-105 and REP-145; quaternions are wxyz. Of an end
-effector they are, for example, left_hand_target, left_hand_target_velocity,
-left_hand_target_stamp_ns, left_hand_pose.
+`standard.json` has a line for each but those of end effectors. Names, units and frames are those of
+REP-103, REP-105 and REP-145; quaternions are wxyz. Of an end effector they are, for example,
+left_hand_target, left_hand_target_velocity, left_hand_target_stamp_ns, left_hand_pose.
 """
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import Any
 
+from unicon_base import AnyDict
 from unicon_core.bounds import BUTTONS
 from unicon_core.states.layout import StateSpec
 
@@ -67,15 +71,29 @@ CONTROL_STATES = ("sticks", "buttons", "controls_alive")
 """What an operator holds in his hands: states of workflows whose platform or block writes them."""
 
 
+_TABLE: dict[str, dict[str, AnyDict]] = json.loads(
+    Path(__file__).with_suffix(".json").read_text("utf-8")
+)
+"""Group to its states, each with what differs from a plain number: `names` are elements, or
+`joints` or `buttons` for those of a robot or a remote."""
+
+
+def _states_of(group: str, joint_names: Sequence[str] = ()) -> dict[str, StateSpec]:
+    """Return the states of a group in the table."""
+    known: dict[Any, Sequence[str]] = {"joints": joint_names, "buttons": BUTTONS}
+    found = {}
+    for name, said in _TABLE[group].items():
+        values: AnyDict = {k: tuple(x) if isinstance(x, list) else x for k, x in said.items()}
+        if elements := values.get("names"):
+            values["names"] = tuple(known.get(elements, elements))
+            values["shape"] = (len(values["names"]),)
+        found[name] = StateSpec(**values)
+    return found
+
+
 def control_states() -> dict[str, StateSpec]:
     """Return the states of a remote, gamepad or keyboard, all zero where nobody holds one."""
-    return {
-        "sticks": StateSpec(
-            (4,), "float32", "", "", ("lx", "ly", "rx", "ry"), "-1 to 1; right and up are positive"
-        ),
-        "buttons": StateSpec((len(BUTTONS),), "int32", "", "", BUTTONS, "1 while it is pressed"),
-        "controls_alive": StateSpec((), "int32", "", "", (), "1 while the device is heard"),
-    }
+    return _states_of("control")
 
 
 def forwarded_states(joint_names: Sequence[str]) -> dict[str, StateSpec]:
@@ -84,14 +102,7 @@ def forwarded_states(joint_names: Sequence[str]) -> dict[str, StateSpec]:
     Args:
         joint_names: names in the robot's (vendor's) order, length n.
     """
-    nan, names = float("nan"), tuple(joint_names)
-    said = ("rad", "rad/s", "N·m"), ("position", "velocity", "torque")
-    return {
-        state: StateSpec(
-            (len(names),), "float32", unit, "", names, f"commanded {what}; NaN: none", nan
-        )
-        for state, unit, what in zip(FORWARDED_STATES, *said)
-    }
+    return _states_of("forwarded", joint_names)
 
 
 def hardware_states(joint_names: Sequence[str]) -> dict[str, StateSpec]:
@@ -100,23 +111,7 @@ def hardware_states(joint_names: Sequence[str]) -> dict[str, StateSpec]:
     Args:
         joint_names: names in the robot's (vendor's) order, length n.
     """
-    names = tuple(joint_names)
-    joints = (len(names),)
-    return {
-        "motor_temperature": StateSpec(
-            joints, "float32", "°C", "", names, "of the windings, or the hottest that is measured"
-        ),
-        "motor_error": StateSpec(
-            joints, "int32", "", "", names, "the vendor's error code, 0 for none"
-        ),
-        "motor_status": StateSpec(
-            joints, "int32", "", "", names, "what it does, in the vendor's code"
-        ),
-        "battery_charge": StateSpec(
-            (), "float32", "", "", (), "what is left, as a share of 1", 1.0
-        ),
-        "battery_voltage": StateSpec((), "float32", "V", "", (), "of the battery"),
-    }
+    return _states_of("hardware", joint_names)
 
 
 def standard_states(joint_names: Sequence[str]) -> dict[str, StateSpec]:
@@ -128,40 +123,7 @@ def standard_states(joint_names: Sequence[str]) -> dict[str, StateSpec]:
     Returns:
         Name to specification: `joint_*` of shape (n,), base states, command and time.
     """
-    names = tuple(joint_names)
-
-    def joints(unit: str, description: str) -> StateSpec:
-        return StateSpec((len(names),), unit=unit, names=names, description=description)
-
-    def vector(unit: str, frame: str, description: str) -> StateSpec:
-        return StateSpec((3,), "float32", unit, frame, ("x", "y", "z"), description)
-
-    quat = ("w", "x", "y", "z")
-    return {
-        "joint_pos": joints("rad", "joint positions"),
-        "joint_vel": joints("rad/s", "joint velocities"),
-        "joint_effort": joints("N·m", "joint torques, measured or applied"),
-        "base_quat": StateSpec(
-            (4,), "float32", "", "base to world", quat, "base orientation", (1.0, 0.0, 0.0, 0.0)
-        ),
-        "base_ang_vel": vector("rad/s", "base", "gyroscope"),
-        "base_lin_acc": vector("m/s²", "base", "accelerometer, gravity included"),
-        "projected_gravity": StateSpec(
-            (3,), "float32", "", "base", ("x", "y", "z"), "unit vector of gravity", (0.0, 0.0, -1.0)
-        ),
-        "base_pos_w": vector("m", "world", "base position"),
-        "base_lin_vel": vector("m/s", "base", "base velocity"),
-        "velocity_command": StateSpec(
-            (3,), "float32", "", "base", ("vx", "vy", "wz"), "commanded velocity [m/s, m/s, rad/s]"
-        ),
-        "joint_pos_target": joints("rad", "position target"),
-        "joint_vel_target": joints("rad/s", "velocity target"),
-        "joint_effort_ff": joints("N·m", "feed-forward torque"),
-        "joint_stiffness": joints("N·m/rad", "proportional gain"),
-        "joint_damping": joints("N·m·s/rad", "derivative gain"),
-        "stamp_ns": StateSpec((), "int64", "ns", "", (), "source time of the robot's data"),
-        "tick": StateSpec((), "int64", "", "", (), "number of the present tick"),
-    }
+    return _states_of("standard", joint_names)
 
 
 EXTERNAL_FORCE, EXTERNAL_PUSH = "external_force", "external_push"
@@ -174,15 +136,7 @@ def external_states() -> dict[str, StateSpec]:
     A simulator whose facts name `external_force` applies the force for as long as it stands there;
     a block that writes `external_push` pushes the platform in the same tick.
     """
-    world = ("x", "y", "z")
-    return {
-        EXTERNAL_FORCE: StateSpec((3,), "float32", "N", "world", world, "force on a body"),
-        "external_force_point": StateSpec((3,), "float32", "m", "world", world, "where it acts"),
-        "external_force_body": StateSpec((), "int32", description="its number in the model; 0: no"),
-        EXTERNAL_PUSH: StateSpec(
-            (2,), "float32", "m/s", "world", ("x", "y"), "added to the velocity of the base"
-        ),
-    }
+    return _states_of("external")
 
 
 POSE_NAMES = ("x", "y", "z", "qw", "qx", "qy", "qz")
