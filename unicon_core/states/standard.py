@@ -84,9 +84,9 @@ def _states_of(group: str, joint_names: Sequence[str] = ()) -> dict[str, StateSp
     found = {}
     for name, said in _TABLE[group].items():
         values: AnyDict = {k: tuple(x) if isinstance(x, list) else x for k, x in said.items()}
-        if elements := values.get("names"):
-            values["names"] = tuple(known.get(elements, elements))
-            values["shape"] = (len(values["names"]),)
+        if "names" in values:
+            names = values["names"] = tuple(known.get(values["names"], values["names"]))
+            values["shape"] = (len(names),)
         found[name] = StateSpec(**values)
     return found
 
