@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from unicon_base import AnyDict, imported
+from unicon_base import imported
 from unicon_base.arrays import Array
 from unicon_core.page import STILL, interactive, plain, write_file
 from unicon_core.page import figure as figure_html
@@ -37,22 +37,7 @@ Pictures = Mapping[str, tuple[Callable[..., bool], str, str]]
 """Name to what fills a figure, as of `drawn`, heading and caption, in the order of a page."""
 
 _FOLLOWS = {INK: "--text", MARK: "--mark", PALE: "--pale", _PAPER: "--page"}
-_LOOKS: AnyDict = {
-    **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor"), INK),
-    **dict.fromkeys(("xtick.color", "ytick.color", "axes.titlecolor"), INK),
-    **dict.fromkeys(("figure.facecolor", "axes.facecolor"), "none"),
-    **dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 8),
-    **dict.fromkeys(("axes.grid", "axes.axisbelow"), True),
-    "axes.titlesize": 10,
-    "axes.xmargin": 0.01,
-    "figure.labelsize": 9,
-    "legend.facecolor": _PAPER,
-    "lines.linewidth": 0.9,
-    "grid.alpha": 0.3,
-    "grid.color": "0.5",
-    "svg.fonttype": "none",  # text stays text
-    "path.simplify_threshold": 0.2,  # pixels; an eye sees no more
-}
+_LOOKS = str(Path(__file__).with_name("drawing.mplstyle"))
 
 
 def require(what: str) -> None:
