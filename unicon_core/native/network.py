@@ -8,6 +8,7 @@ array of its addresses.
 from __future__ import annotations
 
 import ctypes
+import json
 import weakref
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -23,18 +24,10 @@ from unicon_core.native.operands import NotNative
 Arrays: TypeAlias = Mapping[str, Array]
 VERSION = 12
 """Of the interface; later libraries keep its functions in their places."""
-PLACES = {
-    "GetErrorMessage": 2, "CreateEnv": 3, "CreateSession": 7, "CreateSessionOptions": 10,
-    "SetSessionExecutionMode": 13, "SetSessionLogSeverityLevel": 22,
-    "SetIntraOpNumThreads": 24, "SetInterOpNumThreads": 25,
-    "CreateTensorWithDataAsOrtValue": 49, "CreateCpuMemoryInfo": 69, "AddSessionConfigEntry": 130,
-    "RunWithBinding": 133, "CreateIoBinding": 134, "BindInput": 136, "BindOutput": 137,
-}  # fmt: skip
+_API = json.loads(Path(__file__).with_name("onnxruntime_api.json").read_text("ascii"))
+PLACES: dict[str, int] = _API["places"]
 """Functions that are used, by their place in the table of the interface (OrtApi)."""
-RELEASES = {
-    "CreateEnv": 92, "CreateCpuMemoryInfo": 94, "CreateSession": 95, "CreateIoBinding": 135,
-    "CreateTensorWithDataAsOrtValue": 96, "CreateSessionOptions": 100,
-}  # fmt: skip
+RELEASES: dict[str, int] = _API["releases"]
 """The place of what releases an object, by the function that gives it."""
 TYPES = {"float32": 1, "int32": 6, "int64": 7, "bool": 9, "float64": 11}
 SEVERE = 3
@@ -120,8 +113,7 @@ def open_session(path: Path, inputs: Arrays, outputs: Arrays) -> Int64:
                     TYPES[array.dtype.name],
                 )  # fmt: skip
                 _call(bind, binding, name.encode(), value)
-        run = _table()[PLACES["RunWithBinding"]]
-        found = np.array([run, session.value, binding.value])
+        found = np.array([_table()[PLACES["RunWithBinding"]], session.value, binding.value])
         weakref.finalize(found, made.pop_all().close).atexit = False
     return found
 

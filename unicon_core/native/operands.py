@@ -22,15 +22,11 @@ import numpy as np
 from unicon_base.arrays import Array, UInt8
 from unicon_base.errors import WorkflowError
 from unicon_core.memory import declared
+from unicon_core.states.c_header import TYPES
 from unicon_core.states.layout import ALIGNMENT
 
-C_TYPES = {
-    "float32": "float",
-    "float64": "double",
-    "bool": "uint8_t",
-    **{f"{sign}int{bits}": f"{sign}int{bits}_t" for sign in ("", "u") for bits in (8, 16, 32, 64)},
-}
-"""Type of NumPy to the one of C++."""
+C_TYPES = {name: kind for name, kind in TYPES.items() if name != "float16"}
+"""Type of NumPy to the one of C++ that computes as it does."""
 
 NEVER = (1 << 63) - 1
 """Constant that stands for None: a number of ticks that is never reached."""
@@ -203,8 +199,7 @@ class Table:
 
     def constants(self, values: Any, dtype: Any) -> str:
         """Return the name of an array of constants."""
-        fixed = np.ascontiguousarray(values, dtype)
-        return self.array(fixed)
+        return self.array(np.ascontiguousarray(values, dtype))
 
     def slot(self, owner: Any, name: str) -> str:
         """Return the C++ of a number that an object remembers, and move it into a slot."""

@@ -305,9 +305,10 @@ class Stretches:
                 return f"!({self.expression(operand)})"
             case ast.UnaryOp(op=ast.USub(), operand=operand):
                 return f"-({self.expression(operand)})"
-            case ast.Compare(left=left, ops=[op], comparators=[right]):
-                return f"({self.expression(left)} {_SIGNS[type(op)]} {self.expression(right)})"
-            case ast.BinOp(left=left, op=op, right=right):
+            case (
+                ast.Compare(left=left, ops=[op], comparators=[right])
+                | ast.BinOp(left=left, op=op, right=right)
+            ):
                 return f"({self.expression(left)} {_SIGNS[type(op)]} {self.expression(right)})"
             case ast.Call():
                 return "0"

@@ -17,13 +17,14 @@ from unicon_core.states.backends.shm import places
 from unicon_core.states.groups import Groups, groups_hash, groups_json
 from unicon_core.states.layout import Layout, StateSpec, check_name
 
-_TYPES = {
+TYPES = {
     "bool": "uint8_t",  # a byte that is neither 0 nor 1 is not defined as a bool of C
     "float16": "uint16_t",  # not every compiler has a type of that size
     "float32": "float",
     "float64": "double",
     **{f"{sign}int{bits}": f"{sign}int{bits}_t" for sign in ("", "u") for bits in (8, 16, 32, 64)},
 }
+"""Type of NumPy to the one of C."""
 _NOTES = {"bool": "0 or 1", "float16": "the bits of a half"}
 
 # Keywords of C23 and C++23, then what gcc and the C library define as macros in small letters.
@@ -79,7 +80,7 @@ def c_header(groups: Groups, source: str) -> str:
         "};",
         *(c_struct(name, layout) for name, layout in groups.items()),
         _forms(groups),
-        *(_functions(name) for name in groups),
+        *map(_functions, groups),
         "#endif",
         "",
     ]
@@ -113,17 +114,17 @@ def c_struct(group: str, layout: Layout) -> str:
     at = pads = 0
     slots = sorted(layout.slots.items(), key=lambda item: item[1].offset)
     for name, slot in slots:
-        if slot.dtype not in _TYPES:
+        if slot.dtype not in TYPES:
             raise StateError(
                 f"state {name!r} is {slot.dtype}, which C has no type of a fixed size for; make it "
-                f"one of {', '.join(_TYPES)}"
+                f"one of {', '.join(TYPES)}"
             )
         if slot.offset != at:
             members.append(f"    unsigned char {_pad(pads, fields)}[{slot.offset - at}];")
             pads += 1
         members += _lines(_about(layout.specs[name], slot.dtype))
         axes = "".join(f"[{n}]" for n in slot.shape)
-        members.append(f"    {_TYPES[slot.dtype]} {fields[name]}{axes};")
+        members.append(f"    {TYPES[slot.dtype]} {fields[name]}{axes};")
         where = f"{fields[name]}, {slot.offset}, {slot.nbytes}"
         proofs.append(f"UNICON_PLACE(struct unicon_{group}, {where});")
         at = slot.offset + slot.nbytes
