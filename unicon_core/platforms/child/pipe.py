@@ -66,8 +66,10 @@ class Pipe:
             start_new_session=True,  # Ctrl-C and Ctrl-Z are the parent's: it damps in order
         )
         assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        self._into, self._out_of = self.process.stdin, self.process.stdout
         with suppress(BrokenPipeError):  # its first words tell why
-            self.process.stdin.write(len(packed).to_bytes(8, "little") + packed)
+            self._into.write(len(packed).to_bytes(8, "little") + packed)
 
     def tell(self, what: str, *given: object, most: int | None = None) -> bool:
         """Say a wish; False where the child has gone, or has no room in a pipe that never waits.
@@ -77,19 +79,17 @@ class Pipe:
             given: with it.
             most: bytes that may be said; a longer wish is not.
         """
-        assert self.process.stdin is not None
         line = json.dumps([what, *given]).encode() + b"\n"
         if most is not None and len(line) > most:
             return False
         with suppress(BrokenPipeError):  # `recv` tells of a child that has died
-            return self.process.stdin.write(line) is not None
+            return self._into.write(line) is not None
         return False
 
     def words(self) -> AnyDict:
         """Return what the child has written since the last look, {} for nothing whole."""
-        assert self.process.stdout is not None
-        while select.select([self.process.stdout], [], [], 0.0)[0]:
-            read = os.read(self.process.stdout.fileno(), 1 << 16)
+        while select.select([self._out_of], [], [], 0.0)[0]:
+            read = os.read(self._out_of.fileno(), 1 << 16)
             if not read:
                 break
             self._rest += read
@@ -124,8 +124,7 @@ class Pipe:
                 told = self.words()
                 break
             look()
-            assert self.process.stdout is not None
-            select.select([self.process.stdout], [], [], 0.1)
+            select.select([self._out_of], [], [], 0.1)
             told = self.words()
         if not told:
             gone = self.process.poll() is not None
@@ -160,10 +159,8 @@ class Pipe:
         """
         process = self.process
         words = AnyDict()
-        assert process.stdin is not None
-        assert process.stdout is not None
         with suppress(OSError):
-            process.stdin.close()  # which asks it to close
+            self._into.close()  # which asks it to close
         try:
             process.wait(patience)
         except subprocess.TimeoutExpired:
@@ -172,7 +169,7 @@ class Pipe:
             words["closing"] = "it did not end, and was killed"
         while told := self.words():
             words |= told
-        process.stdout.close()
+        self._out_of.close()
         return words
 
 

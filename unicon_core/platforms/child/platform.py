@@ -100,10 +100,7 @@ class ChildPlatform:
         self._told = True  # its end, in an error: nothing is to be told twice
         name = f"{facts.name or 'platform'}-{os.getpid()}-{id(self) & 0xFFFF:x}"
         self._child_segment = f"{name}-child"
-        commands = subset(states.layout, facts.reads)
-        self._segment = Segment.create(name, {COMMAND: commands})
-        self._reader: ShmReader | None = None
-        self._pipe: Pipe | None = None
+        self._segment = Segment.create(name, {COMMAND: subset(states.layout, facts.reads)})
         try:
             self._commands = ShmWriter(self._segment, COMMAND, states)
             given = {
@@ -153,7 +150,6 @@ class ChildPlatform:
             Fault: the child has died, hangs, or tells of a fault.
         """
         reader = self._reader
-        assert reader is not None
         if reader.number == self._due:  # a second look in one tick
             reader.restore()
             return None
@@ -164,7 +160,6 @@ class ChildPlatform:
     def _newest(self) -> bool | None:
         """Take the robot's newest data; `recv` of what runs freely."""
         reader = self._reader
-        assert reader is not None
         if reader.take():
             return None
         # It takes data far more often than a tick: what has not come is looked into at once.
@@ -172,13 +167,11 @@ class ChildPlatform:
         return self._look(hung=silent_ns > self._silence * 1e9)
 
     def _wait(self) -> bool | None:
-        reader = self._reader
-        assert reader is not None
         end = time.monotonic() + self._silence
-        while not reader.wait(min(max(end - time.monotonic(), 0.0), _LOOK)):
+        while not self._reader.wait(min(max(end - time.monotonic(), 0.0), _LOOK)):
             if self._look(hung=time.monotonic() >= end):
                 return True
-        reader.take()
+        self._reader.take()
         return None
 
     def _look(self, *, hung: bool) -> bool:
@@ -187,16 +180,14 @@ class ChildPlatform:
         Raises:
             Fault: it has died, tells of a fault, or hangs.
         """
-        pipe = self._pipe
-        assert pipe is not None
         gone = self.process.poll() is not None
-        told = pipe.words()
+        told = self._pipe.words()
         self._done = self._done or "done" in told
         if self._done:
             return True
         if gone or told:
             self._told = True
-            raise Fault(told.get("fault") or pipe.end)
+            raise Fault(told.get("fault") or self._pipe.end)
         if hung:
             self._told = self._hung = True
             raise Fault(
@@ -228,14 +219,11 @@ class ChildPlatform:
 
     def _pause(self) -> None:
         self._settle()
-        assert self._pipe is not None
         self._pipe.tell("pause")
 
     def _settle(self) -> None:
         """Wait for the answer to the last command, which comes before the next wish there too."""
-        reader = self._reader
-        assert reader is not None
-        if reader.number != self._due and not reader.take():
+        if self._reader.number != self._due and not self._reader.take():
             self._wait()
 
     def _variant(self) -> Any:
@@ -256,7 +244,6 @@ class ChildPlatform:
             UniconError: of the method, or the child does not answer.
             Fault: of the method, or the child has ended.
         """
-        assert self._pipe is not None
         self._pipe.tell(what, *given)
         self._told = True  # by what is raised here
         told = self._pipe.answer(DAMPING)
@@ -275,15 +262,17 @@ class ChildPlatform:
         if self._closed:
             return
         self._closed = True
-        pipe = self._pipe
+        built = vars(self)  # where it failed, the pipe or the reader is not there
+        pipe: Pipe | None = built.get("_pipe")
+        reader: ShmReader | None = built.get("_reader")
         words = {}
         if pipe is not None:
             words = pipe.close(HUNG if self._hung else DAMPING)
-        if self._reader is not None:
-            self._reader.close()
+        if reader is not None:
+            reader.close()
         self._segment.close()
         remove_dead(self._child_segment)
-        if pipe is None or self._reader is None or self._hung:
+        if pipe is None or reader is None or self._hung:
             return
         if "fault" in words and not self._told:
             raise Fault(words["fault"])
