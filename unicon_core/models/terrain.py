@@ -11,11 +11,11 @@ from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from unicon_base import ModelError
+from unicon_base import AnyDict, AnyMapping, ModelError
 from unicon_base.arrays import Float64
 from unicon_core.models.load import load_model
 from unicon_core.models.loaded import LoadedModel, around, floors, import_mujoco
@@ -150,7 +150,7 @@ def floor_of(loaded: LoadedModel) -> tuple[int, float]:
     """Return the one level plane that lies around a robot, and its height in [m]."""
     mujoco = import_mujoco()
     model = loaded.model
-    planes = floors(loaded.model)
+    planes = floors(model)
     others = around(loaded)
     if others:
         names = ", ".join(model.geom(g).name or f"geom {g}" for g in others[:3])
@@ -172,8 +172,7 @@ def floor_of(loaded: LoadedModel) -> tuple[int, float]:
 
 def _geoms(spec: Any, plane: Any, ground: Ground, height: float) -> list[tuple[Any, float]]:
     """Add all geoms, the floor's material on them; return each with its factor of friction."""
-    mujoco = import_mujoco()
-    kinds = mujoco.mjtGeom
+    kinds = import_mujoco().mjtGeom
     same = {word: getattr(plane, word) for word in (*TOUCH, "contype", "conaffinity", "priority")}
     same |= {word: getattr(plane, word) for word in ("solmix", "group", "material", "rgba")}
     found = []
@@ -213,26 +212,16 @@ TOUCH = ("condim", "friction", "solref", "solimp", "margin", "gap")
 _SINK = 0.001  # [m] by which the robot is put into the floor to see what a contact is like
 
 
-class FloorContact(NamedTuple):
-    """What MuJoCo makes of the robot's lowest part on the floor; shapes as of a geom."""
+def floor_contact(loaded: LoadedModel, floor: int) -> AnyDict:
+    """Return what the floor and the robot's lowest part make of a contact; else the floor's own.
 
-    dimensions: int
-    friction: Any
-    solref: Any
-    solimp: Any
-
-
-def floor_contact(loaded: LoadedModel, floor: int) -> FloorContact:
-    """Return what the floor and the robot's lowest part make of a contact; else the floor's own."""
+    Returns:
+        `condim`, `friction`, `solref` and `solimp`, as of a geom.
+    """
     mujoco = import_mujoco()
-    model = loaded.model
-    base = loaded.base
-    own = FloorContact(
-        int(model.geom_condim[floor]),
-        np.array(model.geom_friction[floor]),
-        np.array(model.geom_solref[floor]),
-        np.array(model.geom_solimp[floor]),
-    )
+    model, base = loaded.model, loaded.base
+    words = ("condim", "friction", "solref", "solimp")
+    own = {word: getattr(model, f"geom_{word}")[floor].copy() for word in words}
     posed = PosedModel(loaded)
     data = posed.data
     mujoco.mj_forward(model, data)
@@ -244,26 +233,25 @@ def floor_contact(loaded: LoadedModel, floor: int) -> FloorContact:
     for contact in data.contact:
         if floor in contact.geom:
             sliding, _, turning, rolling, _ = contact.friction
-            return FloorContact(
-                int(contact.dim),
-                np.array((sliding, turning, rolling)),
-                np.array(contact.solref),
-                np.array(contact.solimp),
-            )
+            return {
+                "condim": contact.dim,
+                "friction": np.array((sliding, turning, rolling)),
+                "solref": np.array(contact.solref),
+                "solimp": np.array(contact.solimp),
+            }
     return own
 
 
-def give_patch(geom: Any, contact: FloorContact, friction: float, rank: int) -> None:
+def give_patch(geom: Any, contact: AnyMapping, friction: float, rank: int) -> None:
     """Give a patch the contact that the floor had, with its own friction, before what it touches.
 
     MuJoCo takes the larger of two geoms' friction, or that of the higher priority
     (https://mujoco.readthedocs.io/en/stable/modeling.html#contact-parameters).
     """
+    for word, value in contact.items():
+        setattr(geom, word, value)
+    geom.friction = contact["friction"] * friction
     geom.priority = rank
-    geom.condim = contact.dimensions
-    geom.friction = contact.friction * friction
-    geom.solref = contact.solref
-    geom.solimp = contact.solimp
     geom.material = ""
     shade = 0.35 + 0.5 * round(min(friction, 1.0), 1)  # the more slippery, the bluer
     geom.rgba = [shade, shade, 0.85, 1.0]
