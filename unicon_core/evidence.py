@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from unicon_base import UniconError
 from unicon_base.located_yaml import read_yaml
 from unicon_base.resources import config_files
 
@@ -69,7 +68,7 @@ def evidence_of(kind: str, name: str) -> Evidence | None:
 
 
 def _read(path: Path) -> dict[tuple[str, str], Evidence]:
-    document = read_yaml(path, UniconError)
+    document = read_yaml(path)
     found = {}
     kinds = document.value if isinstance(document.value, dict) else {}
     for kind, entries in kinds.items():

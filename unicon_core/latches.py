@@ -66,8 +66,7 @@ def ipv4_of(interface: str) -> str:
 def _asked(interface: str, what: int) -> bytes:
     """Return the kernel's `ifreq` of an interface."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
-        request = struct.pack("256s", interface.encode()[:15])
-        return fcntl.ioctl(asked.fileno(), what, request)
+        return fcntl.ioctl(asked.fileno(), what, struct.pack("256s", interface.encode()[:15]))
 
 
 ESTOP, FAULT = "estop", "fault"

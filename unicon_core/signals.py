@@ -132,8 +132,7 @@ class Signals:
         background = {getattr(signal, name) for name in _BACKGROUND if hasattr(signal, name)}
         for number in signal.valid_signals() - untouched:
             # What somebody else handles or ignores (nohup) stays so.
-            before = signal.getsignal(number)
-            if before in (signal.SIG_DFL, signal.default_int_handler):
+            if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
                 handler = signal.SIG_IGN if number in background else self._handle
                 self._before[int(number)] = signal.signal(number, handler)
 

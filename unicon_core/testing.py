@@ -38,8 +38,7 @@ class Bench:
     ) -> None:
         self.robot = load_robot(robot) if isinstance(robot, str) else robot
         self.period = period
-        specs = standard_states(self.robot.joint_names) | (states or {})
-        self.states = States(specs, num_robots)
+        self.states = States(standard_states(self.robot.joint_names) | (states or {}), num_robots)
 
     def block(self, what: str | Callable[..., Any], **options: Any) -> Block:
         """Build a block by its registered name, or with a factory of your own."""

@@ -124,7 +124,7 @@ def named(names: Sequence[str], assets: dict[str, tuple[Asset, ...]]) -> list[As
 
 
 def _read(path: Path) -> dict[str, tuple[Asset, ...]]:
-    document = read_yaml(path, UniconError)
+    document = read_yaml(path)
     values = document.value
     if not isinstance(values, dict):
         raise document.error((), "give a mapping of names to assets, or to lists of them")

@@ -130,7 +130,7 @@ class Contract(Case):
             it.run(1)
             told = it.command(joint_effort_ff={"yaw": 0.1, "right": 0.1}).run(1)
             speeds[delay] = told["joint_vel"][-1]
-        yaw, right = (it.joint(name) for name in ("yaw", "right"))
+        yaw, right = map(it.joint, ("yaw", "right"))
         assert speeds[0.004][yaw] == pytest.approx(0.6 * speeds[0.0][yaw], rel=0.02)
         assert speeds[0.004][right] == pytest.approx(speeds[0.0][right], rel=1e-3)
 

@@ -103,8 +103,7 @@ class Mechanics(Case):
         assert told["projected_gravity"][-1] == pytest.approx((0.0, 0.0, -1.0), abs=1e-3)
 
     def test_at_rest_an_imu_feels_the_floor(self, rig: Build) -> None:
-        it = rig(initial_height=0.0505)
-        told = it.command(joint_stiffness=50.0, joint_damping=2.0).run(60)
+        told = rig(initial_height=0.0505).command(joint_stiffness=50.0, joint_damping=2.0).run(60)
         felt = told["base_lin_acc"][30:]
         assert felt.mean(axis=0) == pytest.approx((0.0, 0.0, 9.81), abs=0.15)
         assert told["base_pos_w"][-1][2] == pytest.approx(0.05, abs=0.005)
@@ -120,8 +119,7 @@ class Mechanics(Case):
     def test_the_bases_velocity_is_that_of_its_origin_in_its_own_frame(self, rig: Build) -> None:
         told = self._tumbling(rig)
         world = np.diff(told["base_pos_w"], axis=0) / TIMESTEP
-        middle = rotation(told["base_quat"])
-        here = np.einsum("nij,nj->ni", middle, told["base_lin_vel"])
+        here = np.einsum("nij,nj->ni", rotation(told["base_quat"]), told["base_lin_vel"])
         assert _apart(world, here) < 0.01
 
     def test_the_bases_rate_is_in_its_own_frame(self, rig: Build) -> None:
@@ -196,8 +194,7 @@ class Mechanics(Case):
         it = rig(floating=False, steps=1, model=model)
         for target, torque in ((100.0, 0.2), (-100.0, -0.3)):
             it.command(joint_pos_target={"yaw": target}, joint_stiffness=1000.0)
-            found = it.after(3, "joint_effort", "yaw")
-            assert found == pytest.approx(torque, rel=1e-3)
+            assert it.after(3, "joint_effort", "yaw") == pytest.approx(torque, rel=1e-3)
 
     def test_a_velocity_is_followed_by_damping_alone(self, rig: Build) -> None:
         it = rig(**STAND).command(joint_vel_target={"yaw": 2.0}, joint_damping={"yaw": 1.0})

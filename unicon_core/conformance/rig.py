@@ -205,8 +205,7 @@ class Case:
         def build(**how: Any) -> Rig:
             folder = tmp_path / f"rig{len(built)}"
             folder.mkdir()
-            options = {**self.options, **how.pop("options", {})}
-            one = Rig(self.platform, folder, options, **how)
+            one = Rig(self.platform, folder, {**self.options, **how.pop("options", {})}, **how)
             built.append(one)
             return one
 

@@ -87,8 +87,7 @@ class Scope:
         for name, body in self.functions:
             lines += [f"    def {name}():", *indent([*nonlocals, *(body or ["pass"])], 2)]
         source = "\n".join([*lines, f"    return {', '.join(exported)}", ""])
-        namespace = define(source, {}, LABEL)
-        return source, namespace["build"](**self.names)
+        return source, define(source, {}, LABEL)["build"](**self.names)
 
 
 def indent(lines: Lines, levels: int = 1) -> Lines:

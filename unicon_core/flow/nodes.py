@@ -278,9 +278,9 @@ def never_done(node: Node) -> bool:
     if isinstance(node, Block):
         return node.endless
     if isinstance(node, (Zip, Switch)):
-        return all(never_done(child) for child in node.children)
+        return all(map(never_done, node.children))
     if isinstance(node, Chain):
-        return any(never_done(child) for child in node.children)
+        return any(map(never_done, node.children))
     if isinstance(node, Loop):
         return (node.until is None or node.until.endless) and never_done(node.child)
     if isinstance(node, (Every, When)):

@@ -132,8 +132,7 @@ def _imu_stop(program: ProgramData, told: dict[str, Float32]) -> Heeding | None:
     if any(name not in told for name in needs):
         return None
     quat, gyro, gravity, joints = (told[name] for name in needs)
-    stamp = program.states["stamp_ns"]
-    stop = ImuStop(quat, gyro, gravity, joints, stamp, period=program.period)
+    stop = ImuStop(quat, gyro, gravity, joints, program.states["stamp_ns"], period=program.period)
     remedy = "correct the IMU's axes and signs in the driver or the map"
     return Heeding("imu_stop", "", stop, remedy, stop.reset, _lasting(program))
 

@@ -41,8 +41,7 @@ class Told:
             view = self._states[name]
             wrong = ~np.isfinite(view)
             if wrong.any():
-                value = view[wrong].flat[0]
-                said = said or self._of(name, wrong, reader, f"is {value}")
+                said = said or self._of(name, wrong, reader, f"is {view[wrong].flat[0]}")
             if first:
                 np.nextafter(view, np.inf, out=view)
                 self._marks[name] = view.copy()
@@ -56,7 +55,7 @@ class Told:
         return said
 
     def _of(self, name: str, wrong: Bool, reader: str, what: str) -> str:
-        index = tuple(int(i) for i in np.argwhere(wrong)[0])
+        index = tuple(map(int, np.argwhere(wrong)[0]))
         names = self._states.spec(name).names
         of = f" of {names[index[-1]]}" if index and len(names) == wrong.shape[-1] else ""
         return (

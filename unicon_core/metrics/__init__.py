@@ -7,8 +7,6 @@ one rate and cut first (`unicon analyze`).
 
 from unicon_core.metrics.alignment import Aligned, aligned_mse, shift_losses
 from unicon_core.metrics.distances import (
-    Load,
-    Warming,
     chamfer,
     compare,
     fall_time,
@@ -20,14 +18,10 @@ from unicon_core.metrics.distances import (
     warming,
     wasserstein,
 )
-from unicon_core.metrics.elements import Affine, Matching, affine, match_elements
+from unicon_core.metrics.elements import affine, match_elements
 
 __all__ = [
-    "Affine",
     "Aligned",
-    "Load",
-    "Matching",
-    "Warming",
     "affine",
     "aligned_mse",
     "chamfer",

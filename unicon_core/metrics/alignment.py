@@ -56,7 +56,7 @@ def one(values: ArrayLike, name: str) -> Float64:
         raise UniconError(f"gap: {name} is empty, shape {array.shape}; give at least one sample")
     # One pass for all that is well: NaN compares as False.
     if not (np.max(np.abs(array)) < LARGEST):
-        bad = tuple(int(i) for i in np.argwhere(~(np.abs(array) < LARGEST))[0])
+        bad = tuple(map(int, np.argwhere(~(np.abs(array) < LARGEST))[0]))
         of = f" of trajectory {bad[:-2] if len(bad) > 3 else bad[0]}" if len(bad) > 2 else ""
         raise UniconError(
             f"gap: {name} is {array[bad]} in sample {bad[-2]}, element {bad[-1]}"

@@ -171,11 +171,11 @@ def intrinsics(model: Any, camera: int, width: int, height: int) -> Intrinsics:
     if model.cam_projection[camera]:  # 0 is perspective
         return Intrinsics(0.0, 0.0, 0.0, 0.0)
     middle = 0.5 * (width - 1), 0.5 * (height - 1)
-    across, down = (float(size) for size in model.cam_sensorsize[camera])
+    across, down = map(float, model.cam_sensorsize[camera])
     if not down > 0.0:  # square pixels
         focal = 0.5 * height / float(np.tan(0.5 * np.radians(model.cam_fovy[camera])))
         return Intrinsics(focal, focal, *middle)
-    fx, fy, right, up = (float(value) for value in model.cam_intrinsic[camera])  # [m]
+    fx, fy, right, up = map(float, model.cam_intrinsic[camera])  # [m]
     right = right / across * width
     up = up / down * height
     return Intrinsics(fx / across * width, fy / down * height, middle[0] - right, middle[1] - up)
@@ -201,9 +201,7 @@ def optical_frame(model: Any, robot: Robot, camera: int) -> tuple[str, Float64, 
     carrier = frame_of(model, robot, int(model.cam_bodyid[camera]))
     if carrier is not None:
         name, origin = carrier
-        position = model.cam_pos[camera] - origin
-        quat = np.array(model.cam_quat[camera])
-        return name, position, multiply(quat, OPTICAL)
+        return name, model.cam_pos[camera] - origin, multiply(model.cam_quat[camera], OPTICAL)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)

@@ -161,7 +161,7 @@ def lacking_members(spec: Any, robot: Robot) -> list[str]:
         member
         for member in robot.mounts
         if member in robot.members
-        and there.isdisjoint(plain_name(n) for n in robot.joint_names[robot.joints_of(member)])
+        and there.isdisjoint(map(plain_name, robot.joint_names[robot.joints_of(member)]))
     ]
 
 
@@ -212,10 +212,8 @@ def attach_members(
 
 def _attach_one(spec: Any, robot: Robot, member: str, carrier: Any, child: Any) -> None:
     mount = robot.mounts[member]
-    for actuator in list(child.actuators):
-        child.delete(actuator)
-    for key in list(child.keys):
-        child.delete(key)
+    for each in (*child.actuators, *child.keys):
+        child.delete(each)
     plain = not list(child.tendons)  # a tendon names its joints in words that cannot be changed
     own = robot.members[member].joint_names
     whole = robot.joint_names[robot.joints_of(member)]

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 from xml.etree import ElementTree as Xml
 
@@ -58,6 +59,10 @@ class Geom:
     uri: str = ""
 
 
+_ZERO = partial(np.zeros, 3)
+_UNTURNED = partial(np.array, (1.0, 0.0, 0.0, 0.0))
+
+
 @dataclass
 class Link:
     """One link and the joint that carries it.
@@ -83,8 +88,8 @@ class Link:
 
     name: str
     parent: int
-    position: Float64 = field(default_factory=lambda: np.zeros(3))
-    quat: Float64 = field(default_factory=lambda: np.array((1.0, 0.0, 0.0, 0.0)))
+    position: Float64 = field(default_factory=_ZERO)
+    quat: Float64 = field(default_factory=_UNTURNED)
     joint: str = ""
     index: int = -1
     sliding: bool = False
@@ -92,9 +97,9 @@ class Link:
     lower: float = float("nan")
     upper: float = float("nan")
     mass: float = 0.0
-    centre: Float64 = field(default_factory=lambda: np.zeros(3))
-    inertia_quat: Float64 = field(default_factory=lambda: np.array((1.0, 0.0, 0.0, 0.0)))
-    inertia: Float64 = field(default_factory=lambda: np.zeros(3))
+    centre: Float64 = field(default_factory=_ZERO)
+    inertia_quat: Float64 = field(default_factory=_UNTURNED)
+    inertia: Float64 = field(default_factory=_ZERO)
     geoms: list[Geom] = field(default_factory=list)
     looks: list[Geom] | None = None
     number: int = -1
@@ -230,7 +235,7 @@ class _Reader:
 
     def _geoms(self, geom: int, shift: Float64) -> list[Geom]:
         model, kinds = self._model, self._mujoco.mjtGeom
-        kind = int(model.geom_type[geom])
+        kind = kinds(int(model.geom_type[geom]))
         size = [float(x) for x in model.geom_size[geom]]
         position = np.array(model.geom_pos[geom]) - shift
         quat = np.array(model.geom_quat[geom])
@@ -241,17 +246,17 @@ class _Reader:
         def part(shape: str, *sizes: float, at: Float64 = position) -> Geom:
             return Geom(shape, sizes, at, quat, rgba, geom)
 
-        if kind == int(kinds.mjGEOM_SPHERE):
+        if kind == kinds.mjGEOM_SPHERE:
             return [part("sphere", size[0])]
-        if kind == int(kinds.mjGEOM_BOX):
+        if kind == kinds.mjGEOM_BOX:
             return [part("box", *(2.0 * x for x in size))]
-        if kind in (int(kinds.mjGEOM_CYLINDER), int(kinds.mjGEOM_CAPSULE)):
+        if kind in (kinds.mjGEOM_CYLINDER, kinds.mjGEOM_CAPSULE):
             parts = [part("cylinder", size[0], 2.0 * size[1])]
-            if kind == int(kinds.mjGEOM_CAPSULE):  # which URDF lacks
+            if kind == kinds.mjGEOM_CAPSULE:  # which URDF lacks
                 end = rotate(quat, np.array((0.0, 0.0, size[1])))
                 parts += [part("sphere", size[0], at=position + at) for at in (end, -end)]
             return parts
-        if kind in (int(kinds.mjGEOM_ELLIPSOID), int(kinds.mjGEOM_MESH)):
+        if kind in (kinds.mjGEOM_ELLIPSOID, kinds.mjGEOM_MESH):
             centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
             middle = position + rotate(quat, np.array(centre))
             return [part("box", *(2.0 * float(x) for x in half), at=middle)]
@@ -334,7 +339,7 @@ def _origin(element: Xml.Element, position: Float64, quat: Float64) -> None:
 
 def _rpy(quat: Float64) -> tuple[float, float, float]:
     """Return fixed-axis roll, pitch, yaw [rad] of a unit quaternion wxyz, as URDF has them."""
-    w, x, y, z = (float(value) for value in quat)
+    w, x, y, z = map(float, quat)
     sine = 2.0 * (w * y - x * z)
     if abs(sine) > 1.0 - 1e-9:  # looking straight up or down: roll is free, let it be 0
         # There R = Rz(yaw) Ry(±90°), so yaw alone is left in the first column's neighbours.

@@ -324,7 +324,7 @@ def around(loaded: LoadedModel) -> list[int]:
     """Return what a robot may touch around it and is no floor: solid geoms that stand still."""
     model = loaded.model
     ours = _ours(loaded)
-    planes = floors(loaded.model)
+    planes = floors(model)
     others = (geom for geom in still(model) if geom not in planes and not ours[geom])
     return [geom for geom in others if solid(model, geom)]
 
@@ -332,7 +332,7 @@ def around(loaded: LoadedModel) -> list[int]:
 def on_floor(loaded: LoadedModel) -> list[int]:
     """Return the robot's geoms that may touch a floor."""
     model = loaded.model
-    planes = floors(loaded.model)
+    planes = floors(model)
     own = (geom for geom in np.flatnonzero(_ours(loaded)).tolist() if geom not in planes)
     return [geom for geom in own if any(may_touch(model, floor, geom) for floor in planes)]
 

@@ -248,9 +248,8 @@ class Weight:
         self._posed = PosedModel(loaded)
         self._mujoco = import_mujoco()
         self.floats = loaded.base is not None
-        model = loaded.model
         self._dofs = index_of(loaded.dofs.tolist())
-        self._asked = np.zeros(model.nv)
+        self._asked = np.zeros(loaded.model.nv)
         self._base = np.array((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
 
     def __call__(self, joint_pos: ArrayLike, out: Float64, quat: ArrayLike | None = None) -> None:
@@ -313,16 +312,14 @@ class Footprint:
         self._weights = np.array([1.0 / len(g) / len(groups) for g in groups for _ in g])
         # What reaches beyond the middle of a geom: half edges of its box, or a radius.
         kinds = model.geom_type[geoms]
-        round_ = np.zeros(len(geoms))
+        self._radius = np.zeros(len(geoms))
         self._middle = np.array(model.geom_aabb[geoms, :3])
         self._half = np.array(model.geom_aabb[geoms, 3:])
         sphere = kinds == int(mujoco.mjtGeom.mjGEOM_SPHERE)
         capsule = kinds == int(mujoco.mjtGeom.mjGEOM_CAPSULE)
-        round_[sphere | capsule] = model.geom_size[geoms[sphere | capsule], 0]
-        self._half[sphere] = 0.0
-        self._half[capsule] = 0.0
+        self._radius[sphere | capsule] = model.geom_size[geoms[sphere | capsule], 0]
+        self._half[sphere | capsule] = 0.0
         self._half[capsule, 2] = model.geom_size[geoms[capsule], 1]
-        self._radius = round_
         self.position = np.zeros(3)
         self.quat = np.array((1.0, 0.0, 0.0, 0.0))
 
@@ -342,10 +339,7 @@ class Footprint:
         norm = math.sqrt(w * w + x * x + y * y + z * z)
         if not 0.5 < norm < 2.0:
             return
-        w = w / norm
-        x = x / norm
-        y = y / norm
-        z = z / norm
+        w, x, y, z = w / norm, x / norm, y / norm, z / norm
         # The world's z in the base's frame.
         up = np.array((2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)))
         data = self._posed.put(self._joint_pos, ORIGIN)

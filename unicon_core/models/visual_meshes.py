@@ -242,7 +242,7 @@ def _visual(
     visual: Xml.Element, path: Path, folder: Path, colours: dict[str, str], files: MeshFiles
 ) -> Geom | None:
     """Return a `<visual>` as it stands; None where its mesh is lacking, or a figure is none."""
-    shape, origin, material = (visual.find(tag) for tag in ("geometry/*", "origin", "material"))
+    shape, origin, material = map(visual.find, ("geometry/*", "origin", "material"))
     if shape is None:
         return None
     place = {} if origin is None else origin.attrib
@@ -268,7 +268,7 @@ def _visual(
 
 
 def _figures(text: str, count: int) -> tuple[float, ...]:
-    figures = tuple(float(word) for word in text.split())
+    figures = tuple(map(float, text.split()))
     if len(figures) != count or not all(map(math.isfinite, figures)):
         raise ValueError(text)
     return figures

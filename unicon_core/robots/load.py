@@ -139,7 +139,7 @@ def joint_physics(robot: Robot, said: Said) -> JointPhysics:
 
 def robot_names() -> list[str]:
     """Return the names of the robots that `load_robot` finds, sorted."""
-    return list_config("robots", ".yaml")
+    return list_config("robots")
 
 
 def load_robot(name_or_path: str | Path) -> Robot:
@@ -152,7 +152,7 @@ def load_robot(name_or_path: str | Path) -> Robot:
         RobotError: no such robot, or the file is wrong: file, line, culprit and remedy, with a
             line for each mistake.
     """
-    path = find_config("robots", name_or_path, ".yaml", error=RobotError)
+    path = find_config("robots", name_or_path, error=RobotError)
     located = read_yaml(path, RobotError)
     other = other_kind(located.value, "robot")
     if other:
@@ -223,7 +223,7 @@ def _extended(located: Located) -> Robot:
     """Return the robot that an overlay extends, with what the overlay says of its simulation."""
     overlay = read(Overlay, located, "robot file")
     folder = located.path.parent
-    path = find_config("robots", overlay.extends, ".yaml", error=RobotError, relative_to=folder)
+    path = find_config("robots", overlay.extends, error=RobotError, relative_to=folder)
     extended = read_yaml(path, RobotError)
     if is_overlay(extended):
         named = extended.value["extends"]

@@ -127,7 +127,7 @@ def joint_limits(robot: Robot) -> list[tuple[str, ...]]:
 def _imu(robot: Robot) -> str:
     if robot.imu is None:
         return _UNKNOWN.upper() if "imu" in robot.unknown else "none"
-    position, quat = (_vector(each) for each in (robot.imu.position, robot.imu.quat))
+    position, quat = map(_vector, (robot.imu.position, robot.imu.quat))
     return f"{robot.imu.frame}, position [{position}] m, quat wxyz [{quat}]"
 
 
@@ -136,7 +136,7 @@ def _vector(values: Iterable[float]) -> str:
 
 
 def _place(place: Place) -> str:
-    position, quat = (_vector(each) for each in (place.position, place.quat))
+    position, quat = map(_vector, (place.position, place.quat))
     return f"on {place.body}, position [{position}] m, quat wxyz [{quat}]"
 
 

@@ -198,8 +198,7 @@ class Rollouts:
                     break
         except Exception as error:
             ended, fault, block = "fault", reason_of(error), block or self._where(error)
-        digest = program.monitor.sha256
-        return Rollout(ended, count, fault, block, digest, rows[:count])
+        return Rollout(ended, count, fault, block, program.monitor.sha256, rows[:count])
 
     def _where(self, error: Exception) -> str:
         """Return the block that an error came out of: what the generated function called there."""

@@ -131,7 +131,7 @@ def _svg(parts: list[str], width: float, height: float) -> str:
 def _measured(node: Node, label: str) -> _Box:
     box = _Box(node, [title(node), *data_lines(node, "⇠⇢±", 3)], label)
     box.children = [_measured(child, name) for name, child in branches(node)]
-    text = max(len(line) for line in [*box.lines, label]) * CHAR
+    text = max(map(len, [*box.lines, label])) * CHAR
     head = len(box.lines) * LINE + (LINE if label else 0)
     widths = [child.width for child in box.children]
     heights = [child.height for child in box.children]

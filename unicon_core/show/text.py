@@ -242,8 +242,7 @@ def show_text(
             parts += [f"joints of policy {name}", joint_table(contract, robot)]
             parts += [f"note: {note}" for note in contract.notes]
             seen = PrefixedStates(states, prefix_of(name, policies))
-            table = observation_table(contract, robot, seen)
-            parts += [f"observation of policy {name}", table]
+            parts += [f"observation of policy {name}", observation_table(contract, robot, seen)]
     return "\n\n".join(parts)
 
 

@@ -78,7 +78,7 @@ class StateSpec:
     initial: Annotated[float | tuple[float, ...], Made(_initial)] = 0.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "shape", tuple(int(n) for n in self.shape))
+        object.__setattr__(self, "shape", tuple(map(int, self.shape)))
         object.__setattr__(self, "names", tuple(self.names))
         try:
             dtype = np.dtype(self.dtype)

@@ -327,7 +327,7 @@ def neutral_value(spec: StateSpec, name: str, values: Mapping[str, Any]) -> Any:
     try:
         with np.errstate(over="ignore"):  # too large is infinite
             value = np.broadcast_to(np.asarray(values[name], spec.dtype), spec.shape)
-        finite = all(math.isfinite(x) for x in value.ravel().tolist())
+        finite = all(map(math.isfinite, value.ravel().tolist()))
     except (OverflowError, TypeError, ValueError):
         finite = False
     if not finite:

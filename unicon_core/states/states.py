@@ -163,8 +163,7 @@ class States:
 
     def buffer_of(self, dtype: DTypeLike) -> Array:
         """Return all states of one dtype as one flat view, shape (total elements,)."""
-        key = np.dtype(dtype).name
-        start, count = self._layout.sections.get(key, (0, 0))
+        start, count = self._layout.sections.get(np.dtype(dtype).name, (0, 0))
         return self._buffer[start : start + count * np.dtype(dtype).itemsize].view(dtype)
 
     def offset(self, name: str) -> int:

@@ -150,7 +150,7 @@ class _Other:
         if reader is None:
             return None
         reader.take()
-        stage, impatient, moment, clock = (int(value) for value in self._states[STATE])
+        stage, impatient, moment, clock = map(int, self._states[STATE])
         if now - reader.stamp_ns > FRESH_NS:
             if now - self._tried > AGAIN_NS:
                 self._tried = now

@@ -208,12 +208,11 @@ def accepted(points: Points, limits: Limits, start: Start) -> Spline:
     ahead = times > 0.0
     if not ahead[0] and (points.wait is None or points.wait >= 0.0):
         _begins_here(full[0][0], limits, place, start)
-    nan = np.full((1, len(limits.joints)), np.nan)
     spline = Spline(
         np.concatenate([[0.0], times[ahead]]),
         np.concatenate([start.target[None], full[0][ahead]]),
         np.concatenate([start.velocity[None], full[1][ahead]]),
-        np.concatenate([nan, full[2][ahead]]),
+        np.concatenate([np.full((1, len(limits.joints)), np.nan), full[2][ahead]]),
     )
     _within_limits(spline, limits, place, start)
     return spline

@@ -88,8 +88,7 @@ class Player:
 
     def _warm_up(self) -> None:
         """Accept something: the first one takes 5 ms, the others less than 1."""
-        size = len(self.limits.joints)
-        rest = np.zeros(size)
+        rest = np.zeros(len(self.limits.joints))
         free = Limits(self.limits.joints, rest - 1.0, rest + 1.0, rest + 1.0)
         there = rest.tolist()
         points = Points(free.joints, [1.0, 2.0], [there, there], [[], there], [[], []])

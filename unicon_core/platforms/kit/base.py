@@ -119,7 +119,7 @@ class Mounting:
     """
 
     def __init__(self, quat: Array) -> None:
-        w, x, y, z = (float(value) for value in quat)
+        w, x, y, z = map(float, quat)
         self.turned = not np.allclose(np.abs(quat), (1.0, 0.0, 0.0, 0.0), atol=1e-9)
         self._base_from_sensor = rotation(quat)
         # q ↦ q · conj(quat), as a matrix
@@ -177,7 +177,7 @@ class BaseStates:
         self._copied = [
             (views[name], i) for i, name in enumerate(("base_pos_w", "base_quat")) if name in views
         ]
-        count = max((len(view) for view in views.values()), default=0)
+        count = max(map(len, views.values()), default=0)
         self._count = count
         self._lever, self._downward, self._pull = (
             array.tolist() for array in (self._arm.astype(np.float64), self._down, self._gravity)

@@ -61,7 +61,7 @@ class FiniteCheck:
         for state, view in self._commands.items():
             wrong = np.argwhere(~np.isfinite(view))
             if len(wrong):  # else a huge value overflowed the product
-                index = tuple(int(i) for i in wrong[0])
+                index = tuple(map(int, wrong[0]))
                 who = f"robot {index[0]}, " if len(index) > 1 else self._said
                 raise Fault(f"{who}{state} of joint {self._names[index[-1]]} is {view[index]}")
 

@@ -173,9 +173,10 @@ class ZmqReader:
         keys: str | Path | None = None,
         without_keys: bool = False,
     ) -> None:
+        what = f"store zmq, group {name!r}"
         if not (math.isfinite(late) and late > 0.0):
-            raise StateError(f"store zmq, group {name!r}: late is {late}; give seconds above 0")
-        self._what = f"store zmq, group {name!r} at {address}"
+            raise StateError(f"{what}: late is {late}; give seconds above 0")
+        self._what = f"{what} at {address}"
         self._name, self._group = name, group
         self._digest = bytes.fromhex(groups_hash({name: group}))
         scratch = memoryview(bytearray(group.nbytes))
@@ -195,7 +196,6 @@ class ZmqReader:
         self._started = time.clock_gettime_ns(_CLOCK)
         self.number = self.stamp_ns = self.skipped = self.garbage = 0
         self.refused = ""
-        what = f"store zmq, group {name!r}"
         length = len(groups_json({name: group}).encode())
         self._longest = LAYOUT_FACTOR * length + LAYOUT_SPARE
         size = self._body + length
@@ -302,8 +302,7 @@ class ZmqReader:
         if len(frame) != self._body + length:
             self.garbage += 1
             return False
-        now = time.clock_gettime_ns(_CLOCK)
-        if not self.freshness.passes(epoch, number, sent, now):
+        if not self.freshness.passes(epoch, number, sent, time.clock_gettime_ns(_CLOCK)):
             return False
         self.freshness.skipped += bool(self._held)  # the one that waited was not taken
         self._held, self._held_number = frame, number

@@ -23,7 +23,6 @@ that the lock tells of the parent alone. It must neither publish nor read with w
 """
 
 from unicon_core.states.backends.shm.files import (
-    SegmentFile,
     clean,
     remove_dead,
     segment_path,
@@ -34,7 +33,6 @@ from unicon_core.states.backends.shm.segment import Segment, places
 
 __all__ = [
     "Segment",
-    "SegmentFile",
     "ShmReader",
     "ShmWatcher",
     "ShmWriter",

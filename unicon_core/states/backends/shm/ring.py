@@ -29,6 +29,7 @@ _CALLS = {"x86_64": 202, "aarch64": 98, "riscv64": 98}  # numbers of futex(2)
 _ORDERED = {"x86_64", "AMD64"}  # stores are seen in program order: total store order
 _WAIT, _WAKE = 0, 1
 _EVERYBODY = 0x7FFFFFFF
+_EARLY = {errno.EAGAIN, errno.EINTR, errno.ETIMEDOUT}
 
 
 class _Timespec(ctypes.Structure):
@@ -54,8 +55,7 @@ class Sleep:
             )
         # The low half of the counter, little-endian as all these processors are.
         self._word = ctypes.c_uint32.from_buffer(memory, offset)
-        libc = ctypes.CDLL(None, use_errno=True)
-        self._syscall = libc.syscall
+        self._syscall = ctypes.CDLL(None, use_errno=True).syscall
         address = ctypes.c_void_p(ctypes.addressof(self._word))
         self._time = _Timespec()
         self._wait_args = (ctypes.c_long(call), address, ctypes.c_int(_WAIT))
@@ -80,10 +80,11 @@ class Sleep:
         self._time.seconds = seconds = int(timeout)
         self._time.nanoseconds = int((timeout - seconds) * 1e9)
         low = ctypes.c_uint32(seen & 0xFFFFFFFF)
-        if self._syscall(*self._wait_args, low, self._until) == -1:
-            code = ctypes.get_errno()
-            if code not in (errno.EAGAIN, errno.EINTR, errno.ETIMEDOUT):
-                time.sleep(min(timeout, 0.0005))  # no futex here: look often instead
+        if (
+            self._syscall(*self._wait_args, low, self._until) == -1
+            and ctypes.get_errno() not in _EARLY
+        ):
+            time.sleep(min(timeout, 0.0005))  # no futex here: look often instead
 
 
 def barrier() -> Callable[[], object] | None:
