@@ -11,7 +11,6 @@ import json
 import math
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Any
 
 from unicon_base import AnyDict
 from unicon_core.bounds import BUTTONS
@@ -80,13 +79,14 @@ _TABLE: dict[str, dict[str, AnyDict]] = json.loads(
 
 def _states_of(group: str, joint_names: Sequence[str] = ()) -> dict[str, StateSpec]:
     """Return the states of a group in the table."""
-    known: dict[Any, Sequence[str]] = {"joints": joint_names, "buttons": BUTTONS}
+    known: AnyDict = {"joints": joint_names, "buttons": BUTTONS}
     found = {}
     for name, said in _TABLE[group].items():
         values: AnyDict = {k: tuple(x) if isinstance(x, list) else x for k, x in said.items()}
         if "names" in values:
-            names = values["names"] = tuple(known.get(values["names"], values["names"]))
-            values["shape"] = (len(names),)
+            names = values["names"]
+            values["names"] = tuple(known.get(names, names))
+            values["shape"] = (len(values["names"]),)
         found[name] = StateSpec(**values)
     return found
 
