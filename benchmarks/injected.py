@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.samples import unsaid
-from benchmarks.transfers import emulated
+from benchmarks.sloc import emulated
 from unicon_base import AnyDict
 from unicon_base.arrays import Array
 from unicon_base.located_yaml import read_yaml

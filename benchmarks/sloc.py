@@ -1,8 +1,9 @@
 """`unicon bench sloc`: what it takes to move a workflow to another robot, in lines, counted.
 
-The counterpart of the UniCon paper's table of transfer effort. Each edit is made in a copy of a
-workflow file, counted in the difference of both, and run; a robot that falls has failed, and what
-cannot be run here is told.
+The counterpart of the UniCon paper's table of transfer effort. Each edit of `sloc.yaml` is made in
+a copy of a workflow file, counted in the difference of both texts, and run in a process of its own:
+`unicon run FILE`. A robot that falls has failed, and what cannot be run here is told. Where the
+platform is a vendor's or `ros`, `unicon emulate` emulates a robot behind that protocol.
 
 Beside it stands what the same move took in public code that was written for one robot: the
 counterpart of the row "Ad-hoc" in the paper, whose own code is not public: 852 lines for an H1, and
@@ -12,150 +13,269 @@ ours are; a test counts them again where they are.
 
 from __future__ import annotations
 
+import difflib
 import io
+import json
+import os
+import re
+import subprocess
+import sys
+import time
 import tokenize
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from threading import Thread
 
 import unicon_core
-from benchmarks.transfers import Transfer, lines_of, transferred
-from unicon_base.resources import find_config
-from unicon_ros.bench.report import Bench
+from unicon_base import AnyDict, AnyMapping, UniconError
+from unicon_base.located_yaml import read_yaml
+from unicon_base.resources import assets_root, find_config
+from unicon_core.robots import load_robot
+from unicon_core.workflow import load_document
+from unicon_ros.bench.report import Bench, free_domain
 
-_SKIPPED = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}
+TIMEOUT = 120.0
+"""Longest run in [s]: an emulated robot on a busy machine takes its time."""
 
-COMPONENTS = (
-    ("platform unitree (H1, G1, Go2)", "unicon_hardware/unitree"),
-    ("platform mujoco", "unicon_core/platforms/mujoco"),
-    ("platform pnd (Adam)", "unicon_hardware/pnd"),
-    ("DDS of both", "unicon_hardware/dds"),
-    ("platform ros", "unicon_ros/bridge/ros_platform.py"),
-    ("policies, all formats", "unicon_core/policies"),
-)
-"""What is shared by all workflows: the paper's columns H1 and G1, Sim, Adam and NN, and more."""
+AGAIN = 2
+"""How often a run in real time is repeated where it failed: the machine may have stood still."""
 
-H1 = "h1_stand"
-WALK = 8.0
-"""So long do those run that walk, [s]: a Go2 stands up in the first four."""
+READY = 60.0
+"""How long an emulated robot may take to be there, [s]: it reads its model."""
 
+GONE = 5.0
+"""How long it may take to end, [s]."""
 
-HUNG = ("--posture=default", "--hang")
-"""A humanoid in a posture: nobody balances it, so that it hangs on its gantry."""
+SIMULATED = ("mujoco", "pybullet", "fake", "fake_robot")
+"""Platforms that need nobody else."""
 
-TRANSFERS = (
-    # the paper's workflows: H1, Sim, G1, Adam
-    Transfer("H1", "H1", H1, {"platform": "unitree"}, {}, HUNG),
-    Transfer("H1", "H1 in MuJoCo", H1, {"platform": "unitree"}, {"platform": "mujoco"}),
-    Transfer("H1", "G1", H1, {"platform": "unitree"}, {"robot": "g1_29dof"}, HUNG),
-    Transfer(
-        "G1",
-        "Adam",
-        H1,
-        {"robot": "g1_29dof", "platform": "unitree"},
-        {"robot": "adam_lite", "platform": "pnd"},
-        HUNG,
-    ),
-    # and more
-    Transfer("H1 in MuJoCo", "G1 in MuJoCo", H1, {}, {"robot": "g1_29dof"}),
-    Transfer("G1 in MuJoCo", "Adam in MuJoCo", H1, {"robot": "g1_29dof"}, {"robot": "adam_lite"}),
-    Transfer("G1 in MuJoCo", "T1 in MuJoCo", H1, {"robot": "g1_29dof"}, {"robot": "t1"}),
-    Transfer("G1 in MuJoCo", "Go2 in MuJoCo", H1, {"robot": "g1_29dof"}, {"robot": "go2"}),
-    Transfer(
-        "G1 in MuJoCo",
-        "G1 behind ROS 2 topics",
-        H1,
-        {"robot": "g1_29dof"},
-        {"platform": "ros"},
-        ("--posture=default",),
-    ),
-    Transfer(
-        "G1 walks in MuJoCo",
-        "G1 walks",
-        "g1_walk",
-        {},
-        {"platform": "unitree"},
-        ("--posture=default", "--let-go=3"),
-        WALK,
-    ),
-    Transfer("Go2 walks in MuJoCo", "Go2 walks", "go2_walk", {}, {"platform": "unitree"}, (), WALK),
-)
-"""The paper's row H1 → Sim → G1 → Adam without its policies, which are not public, and more moves,
-two of them with a policy. A robot is emulated: behind its vendor's protocol, in front of MuJoCo."""
+NEEDED = {"mujoco": ["mujoco"], "ros": ["rclpy"], "unitree": ["cyclonedds"], "pnd": ["cyclonedds"]}
+"""What a platform imports."""
+
+PATIENCE = {"silence": 2.0, "connect": 30.0}
+"""Options of a vendor's platform, [s], for a machine that stands still now and then."""
 
 
 @dataclass(frozen=True)
-class AdHoc:
-    """Code for one move.
+class Transfer:
+    """One move.
 
     Attributes:
-        repository: on GitHub, with the commit's first digits.
-        files: paths in it, and of each the file of `unitree_rl_gym` that it is laid out like, or
-            "".
-        lines: with code or content, of all files.
-        new: of these, the ones that are not in the file that theirs is laid out like.
-        note: what else there is to say.
+        source: in words.
+        target: in words.
+        workflow: name in config/workflows.
+        before: what makes the source of that file: key to word.
+        edit: what makes the target of the source; nothing where the file is run as it is.
+        robot: arguments of `unicon emulate`, where the target is to be run against one.
+        seconds: of ticks, [s].
     """
 
-    repository: str
-    files: Mapping[str, str] = field(repr=False)
-    lines: int
-    new: int
-    note: str = ""
-
-    def __str__(self) -> str:
-        note = f"; {self.note}" if self.note else ""
-        return f"{self.new} new of {self.lines} lines in {self.repository}{note}"
+    source: str
+    target: str
+    workflow: str
+    before: Mapping[str, str] = field(default_factory=dict)
+    edit: Mapping[str, str] = field(default_factory=dict)
+    robot: Sequence[str] = ()
+    seconds: float = 2.0
 
 
-PAPER = {"H1": 852, "Sim": 507, "G1": 627, "Adam": 770}
-"""The paper's row "Ad-hoc": its code base for H1, and lines changed for the others."""
-
-_GYM = "unitreerobotics/unitree_rl_gym@276801e"
-_REAL = "deploy/deploy_real"
-_PROGRAM = (
-    *("deploy_real.py", "config.py", "common/command_helper.py"),
-    *("common/remote_controller.py", "common/rotation_helper.py"),
-)
-_H1 = f"{_REAL}/configs/h1.yaml"
-
-AD_HOC = {
-    "H1 → H1": AdHoc(
-        _GYM, {f"{_REAL}/{name}": f"{_REAL}/{name}" for name in _PROGRAM} | {_H1: _H1}, 360, 0
-    ),
-    "H1 → H1 in MuJoCo": AdHoc(
-        _GYM,
-        {"deploy/deploy_mujoco/deploy_mujoco.py": "", "deploy/deploy_mujoco/configs/h1.yaml": ""},
-        104,
-        104,
-        "a program of its own",
-    ),
-    "H1 → G1": AdHoc(
-        _GYM, {f"{_REAL}/configs/g1.yaml": _H1}, 31, 22, "the program knows the messages of both"
-    ),
-    "G1 → Adam": AdHoc(
-        "pndbotics/pnd_rl_mjlab@6c724bf",
-        {f"{_REAL}/{name}": f"{_REAL}/{name}" for name in _PROGRAM}
-        | {f"{_REAL}/configs/adam_sp_velocity_flat.yaml": _H1},
-        640,
-        541,
-        "laid out as unitree_rl_gym; tracks motions as well",
-    ),
-    "G1 in MuJoCo → T1 in MuJoCo": AdHoc(
-        "BoosterRobotics/booster_gym@da396a0",
-        {"play_mujoco.py": ""},
-        121,
-        121,
-        "a program of its own",
-    ),
-}
-"""Move of `bench sloc` to public code that does the same."""
+# Moves, what they took elsewhere, and what is shared by all workflows.
+TABLE: AnyDict = read_yaml(Path(__file__).with_name("sloc.yaml")).value
+TRANSFERS = [Transfer(**move) for move in TABLE["moves"]]
 
 
-def code_of(text: str, python: bool = True) -> list[str]:
-    """Return the lines with code: no blank ones or comments, in Python no docstrings either."""
-    if not python:
-        return [line for line in text.splitlines() if lines_of(line)]
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one.
+
+    Attributes:
+        difference: of the two files, changed lines alone, with `-` and `+`.
+        words: that differ in them.
+        ran: it ran to its end without a fault, and the robot stood; None: not tried here.
+        told: how it ended, or why not.
+    """
+
+    difference: tuple[str, ...]
+    words: int
+    ran: bool | None
+    told: str
+
+    @property
+    def lines(self) -> int:
+        """Lines that somebody had to write."""
+        return lines_of("\n".join(line[1:] for line in self.difference if line[0] == "+"))
+
+
+def lines_of(text: str) -> int:
+    """Return the lines of YAML with content: no blank ones, no comments."""
+    stripped = (line.strip() for line in text.splitlines())
+    return sum(bool(line) and not line.startswith("#") for line in stripped)
+
+
+def edited(text: str, edit: Mapping[str, str]) -> str:
+    """Return a workflow's text with other words behind top-level keys.
+
+    Raises:
+        UniconError: a key is not there, or has more than a word behind it.
+    """
+    for key, word in edit.items():
+        line = re.compile(rf"^({re.escape(key)}:[ ]+)[^\s{{\[]+(?=[ ]*(#|$))", re.MULTILINE)
+        text, count = line.subn(rf"\g<1>{word}", text, count=1)
+        if not count:
+            raise UniconError(f"bench sloc: the workflow has no line '{key}: WORD' to edit")
+    return text
+
+
+def difference(before: str, after: str) -> tuple[str, ...]:
+    """Return the lines in which two texts differ, with `-` and `+`."""
+    lines = difflib.unified_diff(before.splitlines(), after.splitlines(), lineterm="", n=0)
+    return tuple(line for line in lines if not line.startswith(("---", "+++", "@@")))
+
+
+def transferred(transfer: Transfer) -> Outcome:
+    """Make the edit and run the target.
+
+    Raises:
+        UniconError: the edit cannot be made.
+    """
+    text = find_config("workflows", transfer.workflow).read_text("utf-8")
+    source = edited(text, transfer.before)
+    target = edited(source, transfer.edit)
+    changed = difference(source, target)
+    removed, added = (
+        " ".join(line[1:] for line in changed if line[0] == sign).split() for sign in "-+"
+    )
+    words = sum(a != b for a, b in zip(removed, added)) + abs(len(removed) - len(added))
+    with TemporaryDirectory(prefix="unicon_sloc_") as folder:
+        path = Path(folder) / f"{transfer.workflow}.yaml"
+        path.write_text(target, "utf-8")
+        values = load_document(path).values
+        missing = _missing(values)
+        ran, told = (None, missing) if missing else _run(path, values, transfer)
+        for _ in range(AGAIN if values["platform"] != "mujoco" else 0):
+            if ran is not False:
+                break
+            ran, told = _run(path, values, transfer)
+    return Outcome(changed, words, ran, told)
+
+
+def _missing(values: AnyMapping) -> str:
+    """Return what this machine lacks for a workflow, "" where it has all."""
+    platform, policies = values["platform"], values.get("policies")
+    for module in (*NEEDED.get(platform, ()), *(["onnxruntime"] if policies else [])):
+        if find_spec(module) is None:
+            return f"{module} is not installed"
+    model = load_robot(values["robot"]).models if platform == "mujoco" else ""
+    foreign = "assets:" in f"{model} {policies} {values.get('scene')}"
+    if foreign and assets_root() is None:
+        return "there are no assets; set UNICON_ASSETS"
+    return ""
+
+
+def _run(path: Path, values: AnyMapping, transfer: Transfer) -> tuple[bool, str]:
+    """Run a workflow in a process of its own; return whether it did, and how it ended."""
+    report = path.with_suffix(".json")
+    report.unlink(missing_ok=True)
+    command = [sys.executable, "-m", "unicon_ros", "run", str(path), "--quiet", "--yes"]
+    command += ["--report", str(report), "--faults", "off", "--duration", f"{transfer.seconds:g}"]
+    if values["platform"] == "mujoco":
+        command += ["--speed", "max"]
+    try:
+        with emulated(values["platform"], values["robot"], transfer.robot) as robot:
+            done = subprocess.run(
+                [*command, *robot.sets],
+                capture_output=True,
+                text=True,
+                timeout=TIMEOUT,
+                env=robot.environment,
+            )
+    except subprocess.TimeoutExpired:
+        return False, f"not over after {TIMEOUT:g} s"
+    except UniconError as error:
+        return False, str(error)
+    if not report.is_file():
+        lines = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
+        return False, lines[-1]
+    said = json.loads(report.read_text("utf-8"))
+    if said["faults"]:
+        return False, said["faults"][0]
+    moved = (robot.moved or said["base_displacement_m"])[0]
+    hangs = "--hang" in transfer.robot or said["fell"] is None  # here or in the scene
+    held = ", hanging on a gantry" if hangs else ""
+    fell = ", and fell" if said["fell"] else ""
+    told = f"{said['ticks']} ticks, {moved:+.2f} m ahead{held}{fell}"
+    return done.returncode == 0 and not fell, told
+
+
+@dataclass
+class _Robot:
+    """The robot of a run.
+
+    Attributes:
+        environment: of the run.
+        sets: arguments by which the run finds it; they are of this machine, and no edit.
+        moved: how far its base has moved, [m], once it has ended; None: the run's report says.
+    """
+
+    environment: Mapping[str, str]
+    sets: tuple[str, ...] = ()
+    moved: list[float] | None = None
+
+
+@contextmanager
+def emulated(platform: str, name: str, arguments: Sequence[str]) -> Iterator[_Robot]:
+    """Let a robot be there behind the protocol of a platform.
+
+    Raises:
+        UniconError: it is not.
+    """
+    robot = _Robot(dict(os.environ))
+    if platform in SIMULATED:
+        yield robot
+        return
+    domain = free_domain()
+    command = [sys.executable, "-m", "unicon_ros", "emulate", name, *arguments]
+    if platform == "ros":
+        robot.environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
+        command += ["--face", "ros", "--model", "fake"]
+    else:
+        command += ["--set", f"domain={domain}"]
+        options = {"address": "127.0.0.1", "domain": domain, **PATIENCE}
+        robot.sets = ("--set", f"platforms={json.dumps({platform: options})}")
+    pipes: AnyDict = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, env=robot.environment, **pipes) as process:
+        lines = list[str]()
+        watcher = Thread(target=lines.extend, args=(process.stdout,), daemon=True)  # as they come
+        watcher.start()
+        try:
+            end = time.monotonic() + READY
+            while not lines:
+                if process.poll() is not None or time.monotonic() > end:
+                    process.kill()
+                    assert process.stderr is not None
+                    told = process.stderr.read().splitlines()[-1:] or ["it said nothing"]
+                    raise UniconError(f"no robot: {told[0]}")
+                time.sleep(0.05)
+            yield robot
+            process.terminate()
+            watcher.join(GONE)
+            ended = [line for line in map(json.loads, lines) if line["kind"] == "ended"]
+            robot.moved = ended[0]["moved"] if ended and platform != "ros" else None
+        finally:
+            process.kill()
+            watcher.join(GONE)
+
+
+_SKIPPED = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}
+_STARTS = (tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT)
+
+
+def code_of(text: str) -> list[str]:
+    """Return the lines with code of a Python file: no blank ones, comments or docstrings."""
     lines: set[int] = set()
     previous = tokenize.NEWLINE
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
@@ -167,13 +287,6 @@ def code_of(text: str, python: bool = True) -> list[str]:
     return [line for number, line in enumerate(text.split("\n"), 1) if number in lines]
 
 
-_STARTS = (tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT)
-
-
-def _counted(count: int, what: str) -> str:
-    return f"{count} {what}" if count == 1 else f"{count} {what}s"
-
-
 def run(rounds: int | None = None) -> Bench:
     """Count, and make and run each transfer; there is nothing to repeat.
 
@@ -182,13 +295,13 @@ def run(rounds: int | None = None) -> Bench:
     """
     bench = Bench("sloc", 1)
     root = Path(unicon_core.__file__).resolve().parent.parent
-    for name, place in COMPONENTS:
+    for name, place in TABLE["components"].items():
         path = root / place
         files = sorted(path.rglob("*.py")) if path.is_dir() else [path]
         lines = sum(len(code_of(file.read_text("utf-8"))) for file in files)
         bench.facts[f"component: {name}"] = f"{lines} lines of Python, written once"
     bench.facts["the paper's ad-hoc code"] = ", ".join(
-        f"{name} {lines}" for name, lines in PAPER.items()
+        f"{name} {lines}" for name, lines in TABLE["paper"].items()
     )
     tried, ran = 0, 0
     for transfer in TRANSFERS:
@@ -201,14 +314,21 @@ def run(rounds: int | None = None) -> Bench:
         tried += outcome.ran is not None
         ran += outcome.ran is True
         move = f"{transfer.source} → {transfer.target}"
-        by_hand = f"ad hoc: {AD_HOC[move]}" if move in AD_HOC else ""
+        by_hand = []
+        if found := TABLE["ad_hoc"].get(move):
+            note = f"; {found['note']}" if "note" in found else ""
+            code = f"{found['new']} new of {found['lines']} lines in {found['repository']}"
+            by_hand = [f"    ad hoc: {code}{note}"]
+        counted = ", ".join(
+            f"{count} {what}{'s' * (count != 1)}"
+            for count, what in ((outcome.lines, "line"), (outcome.words, "word"))
+        )
         verdict = {True: "ran", False: "FAILED", None: "not run here"}[outcome.ran]
         bench.facts[move] = "\n".join(
             (
-                f"{_counted(outcome.lines, 'line')}, {_counted(outcome.words, 'word')}; "
-                f"{verdict}: {outcome.told}",
+                f"{counted}; {verdict}: {outcome.told}",
                 *(f"    {line}" for line in outcome.difference),
-                *([f"    {by_hand}"] if by_hand else []),
+                *by_hand,
             )
         )
     if tried:

@@ -10,17 +10,18 @@ from typing import Any
 
 import pytest
 
-from benchmarks import sloc, transfers
-from benchmarks.sloc import AD_HOC, PAPER
-from benchmarks.transfers import Transfer, difference, edited, lines_of, transferred
+from benchmarks import sloc
+from benchmarks.sloc import Transfer, difference, edited, lines_of, transferred
 from unicon_base.errors import UniconError
+
+H1 = "h1_stand"
+AD_HOC: dict[str, dict[str, Any]] = sloc.TABLE["ad_hoc"]
 
 
 def test_docstrings_comments_and_blank_lines_are_no_code() -> None:
     head = '"""Doc\n\nlong."""\n\n# comment\n'
     text = head + 'x = """a\nb"""  # two lines\n\n\ndef f():\n    "doc"\n    return 1\n'
     assert sloc.code_of(text) == ['x = """a', 'b"""  # two lines', "def f():", "    return 1"]
-    assert sloc.code_of("a: 1\n\n# no\n  - b\n", python=False) == ["a: 1", "  - b"]
 
 
 def test_yaml_counts_lines_with_content() -> None:
@@ -46,7 +47,7 @@ def test_an_edit_that_cannot_be_made_is_told(key: str) -> None:
 
 @pytest.mark.slow
 def test_what_is_edited_is_run_and_counted() -> None:
-    outcome = transferred(Transfer("a", "b", sloc.H1, {}, {"platform": "fake_robot"}))
+    outcome = transferred(Transfer("a", "b", H1, {}, {"platform": "fake_robot"}))
     assert outcome.ran, outcome.told
     assert (outcome.lines, outcome.words) == (1, 1)
     assert [line[0] for line in outcome.difference] == ["-", "+"]
@@ -55,7 +56,7 @@ def test_what_is_edited_is_run_and_counted() -> None:
 
 def test_a_transfer_that_fails_is_told_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     wrong = Transfer("G1", "Go2", "g1_walk", {}, {"robot": "nobody"})
-    monkeypatch.setattr(transfers, "_missing", lambda values: "")
+    monkeypatch.setattr(sloc, "_missing", lambda values: "")
     outcome = transferred(wrong)
     assert outcome.ran is False
     assert "unknown robot 'nobody'" in outcome.told
@@ -64,34 +65,34 @@ def test_a_transfer_that_fails_is_told_with_its_reason(monkeypatch: pytest.Monke
 def test_a_robot_that_does_not_begin_is_told_with_its_reason() -> None:
     with (
         pytest.raises(UniconError, match=r"no robot: .*nobody"),
-        transfers.emulated("unitree", "go2", ("--face", "nobody")),
+        sloc.emulated("unitree", "go2", ("--face", "nobody")),
     ):
         pass
 
 
 def test_a_robot_stands_behind_topics() -> None:
     pytest.importorskip("rclpy")
-    with transfers.emulated("ros", "go2", ()) as robot:
+    with sloc.emulated("ros", "go2", ()) as robot:
         assert int(robot.environment["ROS_DOMAIN_ID"]) > 0
 
 
 def test_what_this_machine_lacks_is_told_and_not_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(transfers, "assets_root", lambda: None)
-    outcome = transferred(Transfer("a", "b", sloc.H1, {}, {"robot": "t1"}))
+    monkeypatch.setattr(sloc, "assets_root", lambda: None)
+    outcome = transferred(Transfer("a", "b", H1, {}, {"robot": "t1"}))
     assert outcome.ran is None
     assert outcome.told == "there are no assets; set UNICON_ASSETS"
-    monkeypatch.setattr(transfers, "find_spec", lambda name: None)
+    monkeypatch.setattr(sloc, "find_spec", lambda name: None)
     for platform, module in (("ros", "rclpy"), ("unitree", "cyclonedds"), ("mujoco", "mujoco")):
-        outcome = transferred(Transfer("a", "b", sloc.H1, {"platform": platform}))
+        outcome = transferred(Transfer("a", "b", H1, {"platform": platform}))
         assert outcome.told == f"{module} is not installed"
 
 
 def test_a_robot_that_cannot_be_emulated_is_told_with_the_reason(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(transfers, "AGAIN", 0)
-    monkeypatch.setattr(transfers, "_missing", lambda values: "")
-    nobody = Transfer("a", "b", sloc.H1, {}, {"platform": "unitree"}, ("--face=nobody",))
+    monkeypatch.setattr(sloc, "AGAIN", 0)
+    monkeypatch.setattr(sloc, "_missing", lambda values: "")
+    nobody = Transfer("a", "b", H1, {}, {"platform": "unitree"}, ("--face=nobody",))
     outcome = transferred(nobody)
     assert outcome.ran is False
     assert outcome.told.startswith("no robot: unicon: error: unknown face 'nobody'; ")
@@ -105,17 +106,17 @@ def test_a_robot_that_falls_has_failed(monkeypatch: pytest.MonkeyPatch) -> None:
         Path(command[command.index("--report") + 1]).write_text(json.dumps(told), "utf-8")
         return subprocess.CompletedProcess(command, 0, "", "")
 
-    monkeypatch.setattr(transfers.subprocess, "run", ran)
-    outcome = transferred(Transfer("a", "b", sloc.H1, {}, {"robot": "go2"}))
+    monkeypatch.setattr(subprocess, "run", ran)
+    outcome = transferred(Transfer("a", "b", H1, {}, {"robot": "go2"}))
     assert (outcome.ran, outcome.told) == (False, "100 ticks, +0.01 m ahead, and fell")
     told["fell"] = False
-    assert transferred(Transfer("a", "b", sloc.H1, {}, {"robot": "go2"})).ran is True
+    assert transferred(Transfer("a", "b", H1, {}, {"robot": "go2"})).ran is True
 
 
 def test_every_move_of_the_paper_has_its_ad_hoc_code() -> None:
     moves = [f"{each.source} → {each.target}" for each in sloc.TRANSFERS]
     assert set(moves[:4]) <= set(AD_HOC) <= set(moves)
-    assert len(PAPER) == 4
+    assert len(sloc.TABLE["paper"]) == 4
 
 
 @pytest.mark.slow
@@ -123,21 +124,23 @@ def test_every_move_of_the_paper_has_its_ad_hoc_code() -> None:
 def test_public_code_has_the_lines_that_are_told(move: str) -> None:
     clones = os.environ.get("UNICON_CLONES")
     if not clones:
-        pytest.skip("set UNICON_CLONES to a folder with git clones, as OWNER/NAME, of sloc.py's")
+        pytest.skip("set UNICON_CLONES to a folder with git clones, as OWNER/NAME, of sloc.yaml's")
 
     def code(repository: str, path: str) -> list[str]:
         name, _, commit = repository.partition("@")
         show = ["git", "-C", f"{clones}/{name}", "show", f"{commit}:{path}"]
         text = subprocess.run(show, capture_output=True, text=True, check=True).stdout
-        return sloc.code_of(text, path.endswith(".py"))
+        return (
+            sloc.code_of(text) if path.endswith(".py") else [*filter(lines_of, text.splitlines())]
+        )
 
-    found, gym = AD_HOC[move], AD_HOC["H1 → H1"].repository
+    found, gym = AD_HOC[move], AD_HOC["H1 → H1"]["repository"]
     lines = new = 0
-    for path, made_of in found.files.items():
-        mine, theirs = code(found.repository, path), code(gym, made_of) if made_of else []
+    for path, made_of in found["files"].items():
+        mine, theirs = code(found["repository"], path), code(gym, made_of) if made_of else []
         plus = difference(*("\n".join(map(str.strip, each)) for each in (theirs, mine)))
         lines, new = lines + len(mine), new + sum(line[0] == "+" for line in plus)
-    assert (lines, new) == (found.lines, found.new)
+    assert (lines, new) == (found["lines"], found["new"])
 
 
 @pytest.mark.slow
