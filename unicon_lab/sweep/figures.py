@@ -12,6 +12,7 @@ import numpy as np
 
 from unicon_base import AnyDict, UniconError
 from unicon_base.arrays import Array, Float64
+from unicon_base.located_yaml import read_yaml
 from unicon_core.metrics import fall_time, mse, unfolded_mse
 from unicon_core.metrics.distances import LEANS
 from unicon_core.page import write_file
@@ -188,29 +189,12 @@ class Column:
         return f"{name} [{self.unit}]" if self.unit else name
 
 
+_KINDS = {kind.__name__: kind for kind in (bool, int, float, str)}
 COLUMNS = {
-    "outcome": Column(str, "", "done, duration, fell (early stop), fault, refused or crashed"),
-    "fell": Column(bool, "", "the base leaned by more than 0.8 rad for 0.1 s, or at a fault"),
-    "fall_s": Column(float, "s", "when"),
-    "distance_m": Column(float, "m", "way in the commanded direction, up to a fall"),
-    "commanded_m": Column(float, "m", "integral of the commanded speed"),
-    "speed_error": Column(float, "m/s", "RMS of (vx, vy) minus the command, up to a fall"),
-    "turn_error": Column(float, "rad/s", "RMS of wz minus the command, up to a fall"),
-    "speed_bias": Column(float, "m/s", "size of the mean of (vx, vy) minus the command"),
-    "turn_bias": Column(float, "rad/s", "size of the mean of wz minus the command"),
-    "energy_j": Column(float, "J", "integral of |torque × velocity| over all joints"),
-    "tilt_deg": Column(float, "°", "largest lean of the base"),
-    "position_limit_hits": Column(int, "", "ticks × joints within 0.01 rad of a position limit"),
-    "effort_limit_hits": Column(int, "", "ticks × joints at 99 % of the robot's effort limit"),
-    "unfolded_mse": Column(float, "rad²", "of joint positions to the reference, mean of a joint"),
-    "fault": Column(bool, "", "a fault ended it"),
-    "fault_block": Column(str, "", "the block that raised it"),
-    "text": Column(str, "", "what the fault said, or why there is no result"),
-    "ticks": Column(int, "", "whole ticks"),
-    "duration_s": Column(float, "s", "of ticks"),
-    "sha256_commands": Column(str, "", "of the commands of all ticks, as unicon run reports it"),
-    "program": Column(str, "", "hash of robot, model and policies, see the shard's metadata"),
+    name: Column(_KINDS[kind], unit, words)
+    for name, (kind, unit, words) in read_yaml(Path(__file__).with_suffix(".yaml")).value.items()
 }
+"""Name of each figure to what it is; `figures.yaml` has the table."""
 
 
 NUMBERS = [name for name, column in COLUMNS.items() if column.kind in (int, float)]

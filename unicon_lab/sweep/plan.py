@@ -227,7 +227,7 @@ def code_sha256() -> str:
     digest = hashlib.sha256()
     ours = Path(str(unicon_core.__file__)).parents[1]
     for folder in (ours / name for name in ROWS):
-        for path in sorted(folder.rglob("*.py")):
+        for path in sorted((*folder.rglob("*.py"), *folder.rglob("*.yaml"))):
             digest.update(f"{path.relative_to(folder)}\n".encode())
             digest.update(path.read_bytes())
     return digest.hexdigest()
