@@ -49,18 +49,8 @@ from unicon_ros.bench.report import Bench, loopback_environment
 MANY = 64
 """Robots that are compared with one."""
 
-_WORKFLOW = """\
-robot: go2
-platform: fake
-num_robots: 1
-policies: {walk: ./policy}
-commands:
-  - velocity_command: {constant: [0.5, 0.0, 0.0]}
-flow: {policy: walk}
-safety: [finite, joint_limits]
-"""
-
-# In place of the above; our own policy walks, where a random one would fall.
+WORKFLOW = Path(__file__).with_name("batch.yaml")
+# In place of the same there; our own policy walks, where a random one would fall.
 _PHYSICS: AnyDict = {
     "platform": "mujoco",
     "scene": {"initial_pose": "policy:walk"},
@@ -86,13 +76,12 @@ def run_batch(rounds: int | None = None) -> Bench:
         bench.facts["MJX"] = "left out: pip install 'unicon_ros[sim-mjx]'"
     times = Samples()
     with tempfile.TemporaryDirectory() as folder:
-        random_policy(Path(folder) / "policy", load_robot("go2"))
-        path = Path(folder) / "batch.yaml"
-        path.write_text(_WORKFLOW, "utf-8")
+        random_policy(Path(folder), load_robot("go2"))
+        random = {"policies": {"walk": folder}}
         runners: dict[str, tuple[Runner, int, int]] = {}
         for _, kind, _, ticks, changed in kinds:
             for size in (1, MANY):
-                program = load_workflow(path, changed | {"num_robots": size})
+                program = load_workflow(WORKFLOW, random | changed | {"num_robots": size})
                 runner = Runner(program, RunOptions(speed="max"))
                 runners[f"{kind}, N = {size}"] = runner, size, ticks
         for _ in range(bench.rounds):

@@ -38,7 +38,6 @@ import numpy as np
 
 from benchmarks.samples import TICK, Samples, random_policy, tick_times, timed, unsaid
 from unicon_base import AnyDict
-from unicon_base.arrays import Float64
 from unicon_base.resources import same_modules
 from unicon_core.robots import load_robot
 from unicon_core.runtime import Runner, RunOptions, WallClock, WarmUp, prepare_process
@@ -81,10 +80,7 @@ def run_record(rounds: int | None = None, seconds: float = SECONDS) -> Bench:
             turns = [RECORD_WITHOUT, RECORD_WITH] if number % 2 else [RECORD_WITH, RECORD_WITHOUT]
             for name in turns:
                 file = Path(folder) / f"{number}.mcap" if name == RECORD_WITH else None
-                samples, counts = _run_record(file, seconds)
-                for part, values in samples.items():
-                    times.add(f"{part}, {name}", values)
-                written |= counts
+                written |= _run_record(file, seconds, times, name)
                 if file is not None:
                     file.unlink()
     times.add_to(bench)
@@ -98,8 +94,8 @@ def run_record(rounds: int | None = None, seconds: float = SECONDS) -> Bench:
     return bench
 
 
-def _run_record(file: Path | None, seconds: float) -> tuple[dict[str, Float64], AnyDict]:
-    """Return the times of a run's ticks in [µs], and what was recorded."""
+def _run_record(file: Path | None, seconds: float, times: Samples, name: str) -> AnyDict:
+    """Add the times of a run's ticks; return what was recorded."""
     from unicon_ros.bridge import RosSession
 
     session = RosSession(node_name="bench_record", warn=unsaid)
@@ -111,18 +107,19 @@ def _run_record(file: Path | None, seconds: float) -> tuple[dict[str, Float64], 
         runner = Runner(program, RunOptions(duration=seconds, warn=unsaid))
         session.attach(runner)
         record.attach(runner)
-        times = _times(runner)
+        _time(runner, times, name)
     finally:
         session.close()
-    return times, {} if recording is None else recording.counts()
+    return {} if recording is None else recording.counts()
 
 
-def _times(runner: Runner) -> dict[str, Float64]:
-    """Run, and return the times of ticks in [µs]."""
+def _time(runner: Runner, times: Samples, name: str) -> None:
+    """Run, and add the times of ticks to those of a case."""
     report = runner.run()
     if report.faults:
         raise RuntimeError(f"bench: {report.faults[0]}")
-    return tick_times(runner.statistics, _FIRST)
+    for part, values in tick_times(runner.statistics, _FIRST).items():
+        times.add(f"{part}, {name}", values)
 
 
 def main() -> int:
@@ -217,10 +214,7 @@ def run_view(rounds: int | None = None, seconds: float = SECONDS) -> Bench:
     for number in range(bench.rounds):
         turns = [NONE, ALONE, LOOKED_AT]
         for name in turns[number % 3 :] + turns[: number % 3]:
-            samples, counts = _run(name, seconds)
-            received += counts
-            for part, values in samples.items():
-                times.add(f"{part}, {name}", values)
+            received += _run(name, seconds, times)
     times.add_to(bench)
     bench.facts = {
         "rate": f"{RATE:g} Hz, {seconds:g} s a run",
@@ -232,8 +226,8 @@ def run_view(rounds: int | None = None, seconds: float = SECONDS) -> Bench:
     return bench
 
 
-def _run(name: str, seconds: float) -> tuple[dict[str, Float64], list[int]]:
-    """Return the times of a run's ticks in [µs], and how many messages each client has read."""
+def _run(name: str, seconds: float, times: Samples) -> list[int]:
+    """Add the times of a run's ticks; return how many messages each client has read."""
     options = {"sink": "page", "host": "127.0.0.1", "port": PORT, "token": "", "fps": 30.0}
     view = None if name == NONE else View(options, warn=unsaid)
     hooks = [view.hook] if view else []
@@ -245,7 +239,8 @@ def _run(name: str, seconds: float) -> tuple[dict[str, Float64], list[int]]:
             view.attach(runner)
         address = "" if view is None or name != LOOKED_AT else view.address
         with _clients(address, counts):
-            return _times(runner), counts  # which the clients' end completes
+            _time(runner, times, name)
+        return counts  # which the clients' end completes
     finally:
         if view is not None:
             view.close()
@@ -276,22 +271,11 @@ def _clients(address: str, counts: list[int]) -> Iterator[None]:
             counts += [int(word) for word in told.split()]
 
 
-ROBOT = "g1_29dof"
 TICKS = 150
 """Of each graph in a round."""
 APART_NS = 10_000_000
 
 WITH, WITHOUT = "tick with a robot's safety blocks", "tick without"
-
-_WORKFLOW = f"""\
-robot: {ROBOT}
-platform: fake_robot
-platforms: {{fake_robot: {{time_constant: 0.2}}}}
-start: none
-policies: {{walk: ./policy}}
-commands: [{{velocity_command: {{constant: [0.1, 0.0, 0.0]}}}}]
-flow: {{policy: walk}}
-"""
 
 
 def run_safety(rounds: int | None = None) -> Bench:
@@ -303,10 +287,12 @@ def run_safety(rounds: int | None = None) -> Bench:
     bench = Bench("safety", rounds or 10)
     times = Samples()
     with tempfile.TemporaryDirectory() as folder:
-        random_policy(Path(folder) / "policy", load_robot(ROBOT))
-        path = Path(folder) / "safety.yaml"
-        path.write_text(_WORKFLOW, "utf-8")
-        programs = {WITH: load_workflow(path), WITHOUT: load_workflow(path, {"safety": "none"})}
+        random_policy(Path(folder), load_robot("g1_29dof"))
+        workflow, policy = Path(__file__).with_name("safety.yaml"), {"policies": {"walk": folder}}
+        programs = {
+            WITH: load_workflow(workflow, policy),
+            WITHOUT: load_workflow(workflow, policy | {"safety": "none"}),
+        }
         runners = {name: Runner(each, RunOptions(warn=unsaid)) for name, each in programs.items()}
         restore = prepare_process(programs[WITH].pacing, unsaid)
         try:

@@ -39,29 +39,7 @@ BATCH_BAR = 1.0
 SIDES = {"local": "sweep", "batch": "batch"}
 """Engine to the name of its case."""
 
-_WORKFLOW = """\
-robot: go2
-platform: mujoco
-scene: {initial_pose: "policy:walk"}
-policies: {walk: go2_velocity}
-commands: [{velocity_command: {constant: [0.5, 0.0, 0.0]}}]
-flow: {policy: walk}
-safety: [finite, joint_limits, tilt_stop]
-duration: 10
-"""
-_SWEEP = """\
-schema: unicon.sweep/1
-workflow: ./walk.yaml
-set: {scene.push.every: 2.0}
-vary:
-  scene.seed: {range: [0, 99999]}
-  scene.push.velocity: {uniform: [0.05, 0.2]}
-  scene.payload.mass: {uniform: [0, 1]}
-  scene.joints."*".strength: {uniform: [0.9, 1.1]}
-sample: random
-early_stop: fall
-rollouts: ROLLOUTS
-"""
+WORKFLOW = Path(__file__).with_name("walk.yaml")
 
 
 def run(rounds: int | None = None, rollouts: int = ROLLOUTS) -> Bench:
@@ -84,11 +62,7 @@ def run(rounds: int | None = None, rollouts: int = ROLLOUTS) -> Bench:
     times = Samples()
     with tempfile.TemporaryDirectory() as name, SIGNALS.guard():
         folder = Path(name)
-        (folder / "walk.yaml").write_text(_WORKFLOW, "utf-8")
-        count = each * (bench.rounds + 1)
-        text = _SWEEP.replace("ROLLOUTS", str(count))
-        (folder / "sweep.yaml").write_text(text, "utf-8")
-        plan = Plan(read_sweep(folder / "sweep.yaml"))
+        plan = Plan(read_sweep(WORKFLOW.with_name("sweep.yaml")))
         sides: list[tuple[str, Folder, LocalEngine]] = []
         for engine in SIDES:
             out = Folder(folder / engine, plan, "")
@@ -101,8 +75,7 @@ def run(rounds: int | None = None, rollouts: int = ROLLOUTS) -> Bench:
             for i in range(cores):
                 process = PipedProcess("benchmarks.sweep", folder / f"bare_{i}.log", ONE_THREAD)
                 floor.append(process)
-                task = {"workflow": str(folder / "walk.yaml"), "ticks": round(SECONDS * RATE)}
-                process.write(task)
+                process.write({"ticks": round(SECONDS * RATE)})
             for number in range(bench.rounds + 1):
                 SIGNALS.check()
                 todo = [next(rows) for _ in range(each)]
@@ -153,19 +126,20 @@ def _cpu(pids: list[int]) -> float:
     return 1e-9 * sum(map(cpu_ns, pids)) + time.process_time()
 
 
-def rollout_of(workflow: str, ticks: int) -> Callable[[], float]:
+def rollout_of(ticks: int) -> Callable[[], float]:
     """Return a function that runs one rollout of a policy that walks and returns its way in [m].
 
     Model, actuators and gains are those of the workflow's platform, so that the physics are the
     same; a tick is what no program can do without: the observation written, the network run on it,
     its action into controls, the physics stepped.
 
+    The Go2 walks from its default pose on.
+
     Args:
-        workflow: of the Go2 and its policy alone, which walks from its default pose on.
         ticks: of a rollout.
     """
     mujoco = import_mujoco()
-    program = load_workflow(workflow)
+    program = load_workflow(WORKFLOW)
     platform: Any = program.platform
     (contract,) = program.policies.values()
     model, data, steps = platform.model, platform.data, platform.decimation
@@ -218,8 +192,7 @@ def rollout_of(workflow: str, ticks: int) -> Callable[[], float]:
 def main() -> int:
     """Run rollouts as asked for until nobody asks any more."""
     line = Line()
-    task = line.read()
-    rollout = rollout_of(task["workflow"], task["ticks"])
+    rollout = rollout_of(line.read()["ticks"])
     while asked := line.read():
         begin = time.process_time()
         for _ in range(asked["rollouts"]):
