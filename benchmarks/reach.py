@@ -10,13 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.samples import Samples, timed
-from unicon_base.arrays import Array, Float64, Index
+from unicon_base.arrays import Array, Float64
 from unicon_core.models.find import pick_model
 from unicon_core.models.loaded import import_mujoco
 from unicon_core.robots import Robot, load_robot
@@ -106,7 +105,7 @@ def run(rounds: int | None = None) -> Bench:
         ours += pair
         if find_spec("mink"):
             for name, pairs in (("mink", ()), ("mink, apart", kept.pairs)):
-                ways[name] = MinkArms(path, robot, HANDS, moved, rate, PERIOD, pairs)
+                ways[name] = MinkArms(robot, rate, pairs)
         motions = [*["circles"] * (rate == RATES[-1]), f"crossing, {rate:g} rad/s"]
         for motion in motions * bench.rounds:
             wanted = [_targets(motion, i, watch.homes) for i in range(TICKS)]
@@ -159,37 +158,24 @@ class MinkArms:
     """One step of mink in each call.
 
     Args:
-        path: MJCF file of the robot, whose joints are called as in the robot file.
-        robot: whose arms they are.
-        effectors: names of its end effectors.
-        moved: places of the moved joints in the robot's order, shape (k,).
+        robot: whose arms they are; joints of its model are called as in the robot file.
         rate: largest speed of a joint in [rad/s].
-        period: of a step in [s].
         pairs: of capsules that keep `APART`; none for no such limit.
 
     Attributes:
         pos: where the moved joints are commanded, in [rad], shape (k,).
     """
 
-    def __init__(
-        self,
-        path: Path,
-        robot: Robot,
-        effectors: Sequence[str],
-        moved: Index,
-        rate: float,
-        period: float,
-        pairs: Sequence[Pair] = (),
-    ) -> None:
+    def __init__(self, robot: Robot, rate: float, pairs: Sequence[Pair] = ()) -> None:
         import mink
 
-        self._mink, self._period = mink, period
+        self._mink, moved = mink, robot.group(MOVES)
         names = [robot.joint_names[i] for i in moved]
-        model = _arms_of(path, robot, effectors, names)
+        model = _arms_of(robot, names)
         self._configuration = mink.Configuration(model)
         self._tasks = [
             mink.FrameTask(FRAME + name, "body", position_cost=1.0, orientation_cost=0.3)
-            for name in effectors
+            for name in HANDS
         ]
         posture = mink.PostureTask(model, cost=0.02, gain=0.01)
         posture.set_target(model.qpos0)
@@ -227,16 +213,16 @@ class MinkArms:
         for task, (position, quat) in zip(self._tasks, targets):
             task.set_target(mink.SE3(np.array([*quat, *position])))
         velocity = mink.solve_ik(
-            configuration, self._all, self._period, "daqp", damping=1e-4, limits=self._limits
+            configuration, self._all, PERIOD, "daqp", damping=1e-4, limits=self._limits
         )
-        configuration.integrate_inplace(velocity, self._period)
+        configuration.integrate_inplace(velocity, PERIOD)
 
 
-def _arms_of(path: Path, robot: Robot, effectors: Sequence[str], names: Sequence[str]) -> Any:
+def _arms_of(robot: Robot, names: Sequence[str]) -> Any:
     """Return the model with some joints alone; the others stand at the default pose."""
-    mujoco = import_mujoco()
+    mujoco, path = import_mujoco(), pick_model(robot)
     spec = mujoco.MjSpec.from_file(str(path))
-    add_reaching(spec, robot, effectors, path)
+    add_reaching(spec, robot, HANDS, path)
     for geom in spec.geoms:
         if geom.name.startswith(CAPSULE):  # mink leaves out what cannot touch
             geom.contype = geom.conaffinity = 1

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from unicon_core.models.find import pick_model
 from unicon_core.robots import Robot
 
 pytest.importorskip("daqp", reason="daqp is not installed: pip install 'unicon_ros[ik]'")
@@ -19,10 +18,11 @@ HANDS = ("left_hand", "right_hand")
 
 
 def test_mink_brings_hands_to_the_same_places(g1: Robot, solved: Callable[..., Any]) -> None:
-    from benchmarks.reach import MinkArms
+    from benchmarks.reach import PERIOD, MinkArms
 
     it = solved(g1, HANDS, ("arms",), apart=0.0)
-    twin = MinkArms(pick_model(g1), g1, HANDS, it.moved, it.rate, it.period)
+    assert it.period == PERIOD
+    twin = MinkArms(g1, it.rate)
     homes = [it.at(it.pose[it.moved], i) for i in range(2)]
     for tick in range(150):
         angle = 0.05 * tick
