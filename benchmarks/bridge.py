@@ -84,7 +84,7 @@ def _measure(bench: Bench, desk: Desk) -> None:
     for joints in (FEW, MANY):
         sends[f"send JointState, {joints} joints"] = desk.senders("joint_states", joints)["ours"]
     looks = {"empty poll: ours": desk.poller(), "empty poll: spin_once(0)": desk.spin}
-    receive = desk.receivers(JOINTS)
+    receive = desk.receivers()
     times = Samples()
     for each in (Samples(), *[times] * bench.rounds):  # the first warms up
         each.take(sends, SAMPLES, SENDS)
@@ -144,9 +144,9 @@ class Desk:
             "new message": self._plain(spec.type, self._name(), states, joints),
         }
 
-    def receivers(self, joints: int) -> dict[str, Received]:
+    def receivers(self) -> dict[str, Received]:
         """Return our and the typed way to receive joint states, from `RECEIVED` topics each."""
-        states, source = bench_states(joints), bench_states(joints)
+        states, source = bench_states(JOINTS), bench_states(JOINTS)
         spec = load_map(find_config("maps", "joint_state_in")).subscribe[0]
         spec = replace(spec, timeout=None)
         cases = {}
@@ -156,7 +156,7 @@ class Desk:
                 topic = self._name()
                 arrive = self._feed(topic, source)
                 step = (
-                    self._in(replace(spec, topic=topic), states, joints)
+                    self._in(replace(spec, topic=topic), states)
                     if name == "ours"
                     else self._typed(topic, states)
                 )
@@ -169,7 +169,7 @@ class Desk:
     def poller(self) -> Step:
         """Return our look at a topic on which nothing comes."""
         spec = load_map(find_config("maps", "joint_state_in")).subscribe[0]
-        return self._in(replace(spec, topic=self._name()), bench_states(JOINTS), JOINTS)
+        return self._in(replace(spec, topic=self._name()), bench_states(JOINTS))
 
     def _name(self) -> str:
         return f"bench/topic_{next(self._numbers)}"
@@ -187,8 +187,8 @@ class Desk:
         self._opened.callback(self._node.destroy_publisher, publisher)
         return lambda: publisher.publish(make())
 
-    def _in(self, spec: SubscribeSpec, states: States, joints: int) -> Step:
-        decoder = Decoder.build(spec, arrays_of(states), None, variables_of(joints))
+    def _in(self, spec: SubscribeSpec, states: States) -> Step:
+        decoder = Decoder.build(spec, arrays_of(states), None, variables_of(JOINTS))
         message = compat.message_class(spec.type)
         topic = TopicIn(self._node, decoder, message, False, self._group, print)
         self._opened.callback(topic.close)

@@ -179,12 +179,11 @@ INSTALL = {
 TIMES = ("one way", "send", "reader's CPU [% of a core]")
 
 
-def run(rounds: int | None = None, *, only: Callable[[str], bool] | None = None) -> Bench:
+def run(rounds: int | None = None) -> Bench:
     """Run the comparison; Ctrl-C ends it with the rounds that are whole.
 
     Args:
         rounds: interleaved rounds, 20 unless told.
-        only: which ways to run; all that are installed if None.
     """
     rounds = rounds or ROUNDS
     skipped = {
@@ -192,7 +191,7 @@ def run(rounds: int | None = None, *, only: Callable[[str], bool] | None = None)
         for name, (_, _, module) in WAYS.items()
         if module in INSTALL and find_spec(module) is None
     }
-    names = [name for name in WAYS if name not in skipped and (only is None or only(name))]
+    names = [name for name in WAYS if name not in skipped]
     samples = Samples()
     with tempfile.TemporaryDirectory(prefix="unicon-") as folder:
         places = {name: Path(folder) / f"{i}" for i, name in enumerate(names)}
