@@ -302,6 +302,11 @@ def sha256_of(path: Path) -> str:
     return found.hexdigest()
 
 
+def sha256_text(text: str) -> str:
+    """Return the SHA-256 of a text in UTF-8, 64 digits."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
 def same_modules() -> dict[str, str]:
     """Return our environment, changed so that another Python finds the modules that we find."""
     return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}

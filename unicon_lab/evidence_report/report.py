@@ -6,7 +6,6 @@ OpenSSH's own (`ssh-keygen -Y`): an agent, a passphrase or a token works.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import re
@@ -24,7 +23,7 @@ import unicon_core
 import unicon_ros
 from unicon_base import AnyDict, AnyMapping, UniconError
 from unicon_base.located_yaml import read_yaml
-from unicon_base.resources import config_roots, sha256_of
+from unicon_base.resources import config_roots, sha256_of, sha256_text
 from unicon_core.evidence import load_evidence
 from unicon_core.page import write_file
 from unicon_core.robots import load_robot
@@ -253,7 +252,7 @@ def _matched(pattern: str, text: Any) -> str:
 
 
 def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest() if text else ""
+    return sha256_text(text) if text else ""
 
 
 def _system(record: Record) -> AnyDict:

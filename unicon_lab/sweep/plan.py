@@ -19,7 +19,7 @@ import unicon_core
 from unicon_base import AnyDict, AnyMapping, UniconError, WorkflowError, imported
 from unicon_base.arrays import Float64
 from unicon_base.located_yaml import Located, read_yaml
-from unicon_base.resources import find_config, sha256_of
+from unicon_base.resources import find_config, sha256_of, sha256_text
 from unicon_core import __version__
 from unicon_core.workflow.document import WorkflowDocument, document_at
 from unicon_core.workflow.platforms import facts_of_all, find_platforms
@@ -108,12 +108,9 @@ class Plan:
     def _point(self, point: int) -> tuple[Any, ...]:
         parameters = self.sweep.parameters
         if self.sweep.said.sample == "grid":  # the last parameter changes first
-            values = []
-            for each in reversed(parameters):
-                assert each.values is not None  # refused when it was read
-                point, at = divmod(point, len(each.values))
-                values.append(each.values[at])
-            return tuple(reversed(values))
+            every = [each.values or () for each in parameters]
+            at = np.unravel_index(point, [len(values) for values in every])
+            return tuple(values[k] for values, k in zip(every, at))
         if self.sweep.said.sample == "sobol":
             places = self._sobol[point]
         else:
@@ -152,8 +149,7 @@ class Plan:
     @cached_property
     def sha256(self) -> str:
         """SHA-256 of `identity`."""
-        text = json.dumps(self.identity(), sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()
+        return sha256_text(json.dumps(self.identity(), sort_keys=True))
 
     def task(self, out: Path | None = None) -> AnyDict:
         """Return what a worker begins with.

@@ -8,7 +8,6 @@ from row to row.
 from __future__ import annotations
 
 import gc
-import hashlib
 import json
 import signal
 import sys
@@ -19,7 +18,7 @@ from pathlib import Path
 
 from unicon_base import AnyDict, MissingDependencyError, UniconError, WorkflowError
 from unicon_base.located_yaml import read_yaml
-from unicon_base.resources import sha256_of
+from unicon_base.resources import sha256_of, sha256_text
 from unicon_core.models.find import model_of
 from unicon_core.platforms.kit.scene import SCENE_KEYS
 from unicon_core.policies.networks.onnx import share_sessions
@@ -153,15 +152,16 @@ def key_of(document: WorkflowDocument) -> str:
 
 def program_sha256(program: Program) -> str:
     """Return the hash of what a program is made of, 16 digits."""
-    text = json.dumps(facts_of(program), sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+    return sha256_text(json.dumps(facts_of(program), sort_keys=True))[:16]
 
 
 def facts_of(program: Program) -> dict[str, str]:
     """Return what a program is made of: name to SHA-256 of the files."""
-    robot = hashlib.sha256(robot_text(program.robot).encode()).hexdigest()
-    facts = {"robot": robot, "robot_name": program.robot.name}
-    facts["platform"] = program.platform.facts.name
+    facts = {
+        "robot": sha256_text(robot_text(program.robot)),
+        "robot_name": program.robot.name,
+        "platform": program.platform.facts.name,
+    }
     with suppress(UniconError, OSError):
         facts["model"] = sha256_of(model_of(program.platform, program.robot))
     for name, contract in program.policies.items():

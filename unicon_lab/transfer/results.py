@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 import yaml
 
 from unicon_base import AnyDict, AnyMapping, UniconError
+from unicon_base.resources import sha256_of, sha256_text
 from unicon_core import __version__
 from unicon_core.page import plain
 from unicon_core.text_table import aligned
@@ -94,7 +94,6 @@ class Results:
         ran = [run for runs in self.runs.values() for run in runs if run["outcome"] == "ran"]
         told = ran[0] if ran else {}
         commanded = max((run["commanded_m"] or 0.0 for run in ran), default=0.0)
-        effective = yaml.safe_dump(document.values, sort_keys=True)
         values = {
             "schema": SCHEMA,
             "unicon_ros": __version__,
@@ -103,8 +102,8 @@ class Results:
                 "name": document.name,
                 "description": str(document.values.get("description", "")),
                 "file": str(document.path),
-                "sha256": hashlib.sha256(document.path.read_bytes()).hexdigest(),
-                "sha256_effective": hashlib.sha256(effective.encode()).hexdigest(),
+                "sha256": sha256_of(document.path),
+                "sha256_effective": sha256_text(yaml.safe_dump(document.values)),
                 "overrides": list(self.plan.overrides),
             },
             "robot": told.get("robot"),
