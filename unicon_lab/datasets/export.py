@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from unicon_base import StateError, UniconError, alternatives, one_line
+from unicon_base import UniconError, alternatives, one_line
+from unicon_core.page import refuse_existing
 from unicon_core.runtime.tick_ring import PHASES
 from unicon_lab.datasets.columns import (
     ACTION,
@@ -30,7 +31,7 @@ from unicon_lab.datasets.columns import (
     made_columns,
     rate_of,
 )
-from unicon_lab.datasets.pictures import Pictures, pictures_of, sizes
+from unicon_lab.datasets.pictures import Pictures, pictures_of
 from unicon_lab.datasets.writer import DatasetWriter, PackageWriter, import_lerobot, import_pyarrow
 from unicon_lab.recording import Record, open_record
 
@@ -126,7 +127,7 @@ def refuse_others(
                     f"{other} has not the state {name!r} that {path} has; make a data set for "
                     "each, or give --states and --actions that both have"
                 )
-        if sizes(pictures) != sizes(cameras[0]):
+        if _listed(pictures) != _listed(cameras[0]):
             raise UniconError(
                 f"{other} has cameras {_listed(pictures)}, {path} {_listed(cameras[0])}; give "
                 "--cameras that are the same in all"
@@ -213,8 +214,7 @@ def export_dataset(paths: Sequence[Path], out: Path, wanted: Wanted) -> list[str
         StateError: no such state.
         MissingDependencyError: a package is missing.
     """
-    if os.path.lexists(out):
-        raise UniconError(f"{out} exists; move it away or give another name")
+    refuse_existing(out)
     import_pyarrow()
     for phase in wanted.phases:
         if phase not in (known := [each.value for each in PHASES]):
@@ -316,13 +316,12 @@ def _written(
         _write_sources(beside / out.name, episodes)
         os.rename(beside / out.name, out)
     except OSError as error:
-        if os.path.lexists(out):
-            raise UniconError(f"{out} exists; move it away or give another name") from error
+        refuse_existing(out)
         raise UniconError(
             f"cannot write {out}: {error.strerror or one_line(error)}; make room or give another "
             "path"
         ) from error
-    except (UniconError, StateError):
+    except UniconError:
         raise
     except Exception as error:
         if writer is DatasetWriter:

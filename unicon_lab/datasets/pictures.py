@@ -130,11 +130,6 @@ def pictures_of(
     return found, others
 
 
-def sizes(pictures: Mapping[str, Pictures]) -> dict[str, tuple[int, int]]:
-    """Return camera to height and width in pixels."""
-    return {name: (each.height, each.width) for name, each in pictures.items()}
-
-
 def _read(raw: memoryview, kind: str, what: str) -> Any:
     """Return a message, read from CDR."""
     try:
