@@ -11,7 +11,7 @@ from unicon_base import UniconError, cannot
 from unicon_core.page import write_file, write_json
 from unicon_lab.commands.diagnose import replays
 from unicon_ros.cli.console import note, print_table
-from unicon_ros.cli.options import argument, command, flag, group, positive, seconds
+from unicon_ros.cli.options import argument, command, flag, group, listed, positive, seconds
 
 
 def _analyze(arguments: argparse.Namespace) -> int:
@@ -82,15 +82,14 @@ def _fit(arguments: argparse.Namespace, folder: Path) -> int:
         raise UniconError(
             f"{real}: a fit replays records; make one of it: unicon bag import {real} real.mcap"
         )
-    asked = JOINT_PHYSICS if arguments.fit is True else arguments.fit.split(",")
     record = open_record(real)
     robot = load_robot(arguments.robot) if arguments.robot else None
     found, text = fit_record(
         record,
         real.name,
         robot=robot,
-        words=[word.strip() for word in asked if word.strip()],
-        joints=[each.strip() for each in arguments.fit_joints.split(",") if each.strip()],
+        words=[*JOINT_PHYSICS] if arguments.fit is True else arguments.fit,
+        joints=arguments.fit_joints,
         hung=arguments.hung,
         window=arguments.fit_window,
         processes=arguments.processes,
@@ -163,9 +162,12 @@ add = command(
             "write a robot overlay: strength, friction, armature, delay, or some of them, "
             "separated by commas",
             nargs="?",
+            type=listed,
             const=True,  # all words, which are not known before NumPy is loaded
         ),
-        argument("--fit-joints", "PATTERNS", "of these joints (default: all)", default="*"),
+        argument(
+            "--fit-joints", "PATTERNS", "of these joints (default: all)", type=listed, default="*"
+        ),
         *replays("--fit-window"),
     ),
 )

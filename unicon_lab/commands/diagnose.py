@@ -26,7 +26,16 @@ from unicon_core.page import (
 )
 from unicon_lab.diagnose import MOTIONS
 from unicon_ros.cli.console import Console, print_table
-from unicon_ros.cli.options import Adder, argument, command, flag, option, positive, together
+from unicon_ros.cli.options import (
+    Adder,
+    argument,
+    command,
+    flag,
+    listed,
+    option,
+    positive,
+    together,
+)
 
 if TYPE_CHECKING:
     from unicon_core.drawing import Panel
@@ -184,8 +193,7 @@ def _excite(arguments: argparse.Namespace) -> int:
     if out.suffix != ".yaml":
         raise UniconError(f"excite: {out} is not a .yaml file; give --out NAME.yaml")
     refuse_existing(out, "excite: ")
-    joints = [each.strip() for each in arguments.joints.split(",") if each.strip()]
-    text = experiment_text(arguments.subject, arguments.kind, arguments.out, joints)
+    text = experiment_text(arguments.subject, arguments.kind, arguments.out, arguments.joints)
     write_file(out, text.encode())
     print(text.partition("\n\n")[0])
     return 0
@@ -226,7 +234,7 @@ add = together(
         "A workflow whose motion tells causes apart that a record does not.",
         argument("subject", "ROBOT|RECORD", "a robot, or a record (.mcap) of one"),
         option("--kind", choices=MOTIONS, default="wiggle"),
-        argument("--joints", "PATTERNS", "that move, separated by commas", default=""),
+        argument("--joints", "PATTERNS", "that move, separated by commas", type=listed, default=""),
         argument("--out", "FILE.yaml", "the workflow", required=True),
     ),
 )

@@ -153,6 +153,11 @@ def whole(what: str, least: int, most: int, more: str = "") -> Callable[[str], i
     return number
 
 
+def listed(text: str) -> list[str]:
+    """Return the words of an argument that stand between commas."""
+    return [word for each in text.split(",") if (word := each.strip())]
+
+
 port = whole("a port", 0, 65535, ", where 0 is any that is free")
 
 
