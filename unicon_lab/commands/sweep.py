@@ -56,7 +56,7 @@ def _sweep(arguments: argparse.Namespace) -> int:
 
 
 def _run(arguments: argparse.Namespace, gates: list[Gate]) -> int:
-    from unicon_lab.sweep.engines import Wish
+    from unicon_lab.sweep.engines import Wish, require_ray
     from unicon_lab.sweep.folder import Folder, require_pyarrow
     from unicon_lab.sweep.plan import Plan
     from unicon_lab.sweep.results import Results
@@ -74,7 +74,8 @@ def _run(arguments: argparse.Namespace, gates: list[Gate]) -> int:
         print(_dry(plan))
         return 0
     require_pyarrow()
-    wish.require()
+    if engine == "ray":
+        require_ray()
     out = Path(arguments.out or f"{sweep.path.stem}.sweep")
     folder = Folder(out, plan, program)
     console = Console()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import importlib.util
 import os
 import secrets
@@ -16,10 +15,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import wait
 from pathlib import Path
-from typing import IO
 
 from unicon_base import AnyDict, MissingDependencyError, UniconError, alternatives
 from unicon_core.signals import SIGNALS
+from unicon_lab.sweep.folder import locked
 from unicon_lab.sweep.on_ray.shipment import files_of, manifest, pack
 from unicon_lab.sweep.plan import Plan, Row
 from unicon_lab.sweep.pool import LOOK, ONE_THREAD, PipedProcess, Pool, PoolWorker, Result
@@ -217,7 +216,7 @@ def _own_address() -> str:
     return "127.0.0.1"
 
 
-PREFIX, LOCK = "unicon_ray_", ".lock"
+PREFIX = "unicon_ray_"
 
 
 class Scratch:
@@ -231,23 +230,16 @@ class Scratch:
 
     def __init__(self) -> None:
         for old in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
-            with suppress(OSError), _locked(old):
+            with suppress(OSError), locked(old):
                 shutil.rmtree(old, ignore_errors=True)
         made = Path(tempfile.mkdtemp(prefix=""))
-        self._lock = _locked(made)  # before another process can find it by its name
+        self._lock = locked(made)  # before another process can find it by its name
         self.path = made.rename(made.with_name(PREFIX + made.name))
 
     def close(self) -> None:
         """Remove it; safe to call twice."""
         shutil.rmtree(self.path, ignore_errors=True)
         self._lock.close()
-
-
-def _locked(folder: Path) -> IO[bytes]:
-    """Return a lock on a folder until it is closed; raise OSError where another process has it."""
-    lock = (folder / LOCK).open("wb")
-    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    return lock
 
 
 ENGINES = ("local", "batch", "ray")
@@ -295,15 +287,6 @@ class Wish:
             raise UniconError(
                 f"{sweep.path}: keep is of engine local or batch; take it out, or --engine local"
             )
-
-    def require(self) -> None:
-        """Say before the work that the engine is absent.
-
-        Raises:
-            MissingDependencyError: it is not installed.
-        """
-        if self.engine == "ray":
-            require_ray()
 
 
 def engine_of(plan: Plan, wish: Wish, left: int, folder: Path) -> LocalEngine | RayEngine:

@@ -134,30 +134,25 @@ def columns_of(states: States, names: Iterable[str]) -> dict[str, slice]:
     return found
 
 
-class Keeper:
-    """Writes the states of rollouts, a file each.
+def keep_states(path: Path, names: Iterable[str], program: Program, rollout: Rollout) -> None:
+    """Write the states of a rollout, whole or not at all: float32, shape (ticks, elements).
 
     Args:
-        folder: that the files go to, made as needed.
+        path: of the `.npz`; its folder is made as needed.
         names: of the states.
+        program: whose rollout it is.
+        rollout: that has ended.
+
+    Raises:
+        UniconError: it cannot be written.
     """
-
-    def __init__(self, folder: Path, names: Iterable[str]) -> None:
-        self._folder, self._names = folder, tuple(names)
-
-    def __call__(self, name: str, program: Program, rollout: Rollout) -> None:
-        """Write `NAME.npz`, whole or not at all: states as float32, shape (ticks, elements).
-
-        Raises:
-            UniconError: it cannot be written.
-        """
-        places = columns_of(program.states, self._names)
-        arrays: AnyDict = {key: rollout.states[:, place] for key, place in places.items()}
-        arrays |= {"dt": program.period, "joint_names": np.array(program.robot.joint_names)}
-        arrays |= {"robot": program.robot.name, "workflow": program.name}
-        content = io.BytesIO()
-        np.savez(content, platform=program.platform.facts.name, **arrays)
-        write_file(self._folder / f"{name}.npz", content.getvalue(), folders=True)
+    places = columns_of(program.states, names)
+    arrays: AnyDict = {key: rollout.states[:, place] for key, place in places.items()}
+    arrays |= {"dt": program.period, "joint_names": np.array(program.robot.joint_names)}
+    arrays |= {"robot": program.robot.name, "workflow": program.name}
+    content = io.BytesIO()
+    np.savez(content, platform=program.platform.facts.name, **arrays)
+    write_file(path, content.getvalue(), folders=True)
 
 
 HELD_S = 0.1

@@ -11,7 +11,7 @@ import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from unicon_base import AnyDict, AnyMapping, UniconError, cannot, imported
 from unicon_core.page import write_file, write_json
@@ -29,6 +29,18 @@ def require_pyarrow() -> None:
         MissingDependencyError: pyarrow is not installed.
     """
     imported("pyarrow.parquet", "unicon sweep", "sweep")
+
+
+def locked(folder: Path) -> IO[bytes]:
+    """Return a lock on a folder until it is closed.
+
+    Raises:
+        BlockingIOError: another process has it.
+        OSError: the folder cannot be written.
+    """
+    lock = (folder / LOCK).open("wb")
+    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    return lock
 
 
 class Folder:
@@ -51,15 +63,13 @@ class Folder:
         self.path, self._plan = path, plan
         with cannot(f"write in {path}", "give another folder to --out"):
             path.mkdir(parents=True, exist_ok=True)
-            self._lock = os.open(path / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
-        try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            os.close(self._lock)
-            raise UniconError(
-                f"another unicon sweep writes in {path}; wait for its end, or give another --out"
-            ) from error
-        self._journal = -1
+            try:
+                self._lock = locked(path)
+            except BlockingIOError as error:
+                raise UniconError(
+                    f"another unicon sweep writes in {path}; wait for its end, or give another "
+                    "--out"
+                ) from error
         try:
             self._facts = self._said(program)
             self._pending = read_journal(path)
@@ -69,9 +79,9 @@ class Folder:
             self.done = in_shards | set(self._pending)
             last = [int(name.stem.rpartition("-")[2]) for name in shard_names(path)[-1:]]
             self._numbers = last[0] + 1 if last else 0
-            self._open()
+            self._journal = self._opened()
         except BaseException:
-            self.close()
+            self._lock.close()
             raise
 
     def _said(self, program: str) -> AnyDict:
@@ -88,7 +98,7 @@ class Folder:
                 raise UniconError(f"{self.path} has results without {SWEEP}; give another --out")
             facts = {**here, "identity": self._plan.identity(), "programs": {}}
             facts["run"] = self._plan.sweep.workflow
-            self._tell(facts)
+            write_json(self.path / SWEEP, facts)
             return facts
         differs = changes(there, here, self._plan.identity())
         if differs:
@@ -97,23 +107,17 @@ class Folder:
             )
         return there
 
-    def _tell(self, facts: AnyMapping) -> None:
-        write_json(self.path / SWEEP, facts)
-
-    def _open(self) -> None:
+    def _opened(self) -> IO[bytes]:
         """Open the journal with what is known and nothing else in it: its last line may be torn."""
         lines = [_line(index, row) for index, row in self._pending.items()]
         write_file(self.path / JOURNAL, b"".join(lines))
-        if self._journal >= 0:
-            os.close(self._journal)
-        flags = os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC
-        self._journal = os.open(self.path / JOURNAL, flags)
+        return (self.path / JOURNAL).open("ab", buffering=0)
 
     def know(self, facts: AnyMapping) -> None:
         """Write down what programs are made of."""
         if any(name not in self._facts["programs"] for name in facts):
             self._facts["programs"] |= facts
-            self._tell(self._facts)
+            write_json(self.path / SWEEP, self._facts)
 
     def add(self, index: int, figures: AnyDict) -> None:
         """Write a row down; it is not lost from here on.
@@ -125,8 +129,7 @@ class Folder:
             return
         line = _line(index, figures)
         try:
-            written = os.write(self._journal, line)
-            if written != len(line):
+            if self._journal.write(line) != len(line):
                 raise OSError(28, "No space left on device")
         except OSError as error:
             raise self._full(error) from error
@@ -151,7 +154,9 @@ class Folder:
             raise self._full(error) from error
         self._numbers += 1
         self._pending.clear()
-        self._open()
+        journal = self._opened()
+        self._journal.close()
+        self._journal = journal
 
     def _full(self, error: OSError) -> UniconError:
         return UniconError(
@@ -161,10 +166,8 @@ class Folder:
 
     def close(self) -> None:
         """Let the folder go; what is in the journal stays there."""
-        for descriptor in (self._journal, self._lock):
-            if descriptor >= 0:
-                os.close(descriptor)
-        self._journal = self._lock = -1
+        self._journal.close()
+        self._lock.close()
 
 
 def read_sweep_json(path: Path) -> AnyDict | None:

@@ -126,12 +126,11 @@ def comparison(a: Results, b: Results) -> str:
         p = stats.fisher_exact([[hit, count - hit] for hit, count in zip(hits, counts)])[1]
     rows = [("figure", "A", "B", "B - A", "p", "")]
 
-    def row(name: str, a: str, b: str, apart: str, p: float) -> None:
+    def row(name: str, apart: str, p: float, a: str, b: str) -> None:
         rows.append((name, a, b, apart, f"{p:.2g}", "differs" if p < SURE else ""))
 
-    apart = hits[1] / counts[1] - hits[0] / counts[0]
-    a_share, b_share = map(_share, hits, counts)
-    row("fell", a_share, b_share, f"{apart:+.2%}", p)
+    apart = f"{hits[1] / counts[1] - hits[0] / counts[0]:+.2%}"
+    row("fell", apart, p, *map(_share, hits, counts))
     for name in (name for name in NUMBERS if name not in NOT_COMPARED):
         x, y = (np.array(values, np.float64) for values in of(name))  # None is NaN
         known = [~np.isnan(values) for values in (x, y)]
@@ -143,9 +142,8 @@ def comparison(a: Results, b: Results) -> str:
                 p = 1.0 if (x == y).all() else float(stats.wilcoxon(x, y).pvalue)
             else:
                 p = float(stats.mannwhitneyu(x, y).pvalue)
-            a_mean, b_mean = x.mean(), y.mean()
-            apart_text = f"{b_mean - a_mean:+.3g}"
-            row(COLUMNS[name].named(name), f"{a_mean:.4g}", f"{b_mean:.4g}", apart_text, p)
+            apart = f"{y.mean() - x.mean():+.3g}"
+            row(COLUMNS[name].named(name), apart, p, f"{x.mean():.4g}", f"{y.mean():.4g}")
     how = (
         f"{counts[0]} rows with the same values, pair by pair (McNemar, Wilcoxon)"
         if pairs

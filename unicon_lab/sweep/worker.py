@@ -27,7 +27,7 @@ from unicon_core.states import States
 from unicon_core.workflow import Program, WorkflowDocument
 from unicon_lab.analysis.run import Run, read_run
 from unicon_lab.recording.run_recording import network_hash, robot_text
-from unicon_lab.sweep.figures import FallLook, Figures, Keeper, empty_row, reference_for
+from unicon_lab.sweep.figures import FallLook, Figures, empty_row, keep_states, reference_for
 from unicon_lab.sweep.plan import document_with, refuse_robot
 from unicon_lab.sweep.pool import Line
 
@@ -198,8 +198,7 @@ class RowRunner:
         self.programs = WarmPrograms(self.look, told, self.batch)
         self._stops = bool(task["stops_at_fall"])
         self._duration = float(task["duration"])
-        keep = task.get("keep")
-        self._keep = None if keep is None else Keeper(Path(keep["folder"]), keep["states"])
+        self._keep = task.get("keep")
         self._told: set[str] = set()
         self._running: Lockstep[tuple[int, str, WarmProgram]] = Lockstep()
 
@@ -247,7 +246,8 @@ class RowRunner:
 
     def _ended(self, name: str, kept: WarmProgram, rollout: Rollout) -> AnyDict:
         if self._keep is not None:
-            self._keep(name, kept.rollouts.program, rollout)
+            path = Path(self._keep["folder"], f"{name}.npz")
+            keep_states(path, self._keep["states"], kept.rollouts.program, rollout)
         told = self.of(kept, rollout)
         self.programs.keep(kept)
         return told

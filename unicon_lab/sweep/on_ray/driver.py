@@ -13,6 +13,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -190,61 +191,65 @@ def _rows(line: Line) -> Iterator[Row]:
         yield Row(said["index"], 0, (), tuple(said["settings"]))
 
 
-def _join(ray: Any, task: AnyDict) -> None:
-    """Join a cluster, or start one on this machine."""
-    options = {
-        "runtime_env": {"working_dir": task["archive"], "env_vars": ONE_THREAD},
-        "log_to_driver": False,
-        "logging_level": "ERROR",
-    }
-    if task["address"]:
-        ray.init(address=task["address"], **options)
-        return
-    ray.init(
-        address="local",
-        num_cpus=task["workers"],
-        include_dashboard=False,
-        object_store_memory=STORE_BYTES,
-        _node_ip_address="127.0.0.1",
-        _temp_dir=task["folder"],
-        **options,
-    )
+def _joined(task: AnyDict) -> Any:
+    """Join a cluster, or start one on this machine; return the module of Ray.
 
-
-def main() -> int:
-    """Run rows until there are no more."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the command's
-    line = Line()
-    task = line.read()
+    Raises:
+        UniconError: there is none, or it refuses.
+    """
     try:
         import ray
     except ImportError as error:
-        said = f"ray cannot be imported: {error}; pip install 'unicon_ros[ray]' mends it"
-        line.write({"error": said})
-        return 1
+        raise UniconError(
+            f"ray cannot be imported: {error}; pip install 'unicon_ros[ray]' mends it"
+        ) from error
+    cluster: AnyDict = (
+        {"address": task["address"]}
+        if task["address"]
+        else {
+            "address": "local",
+            "num_cpus": task["workers"],
+            "include_dashboard": False,
+            "object_store_memory": STORE_BYTES,
+            "_node_ip_address": "127.0.0.1",
+            "_temp_dir": task["folder"],
+        }
+    )
     try:
-        _join(ray, task)
+        ray.init(
+            **cluster,
+            runtime_env={"working_dir": task["archive"], "env_vars": ONE_THREAD},
+            log_to_driver=False,
+            logging_level="ERROR",
+        )
     except Exception as error:  # whatever a cluster of another kind or version makes of it
         said = one_line(error)[:300]
         if task["address"]:
             said += "; a cluster that has tokens wants RAY_AUTH_MODE=token here, too"
-        line.write({"error": f"ray: {said}; what Ray said is in {task['log']}"})
-        return 1
-    count = min(task["workers"] or int(ray.cluster_resources().get("CPU", 0)), task["left"])
-    line.write({"ready": count, "head": ray.get_runtime_context().gcs_address})
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # Ray's own prints a trace
-    pool = ActorPool(ray, task["manifest"], count, task["timeout"])
-    try:
-        for result in pool.run(_rows(line)):
-            line.write(asdict(result))
-        line.write({"done": True})
-    except UniconError as error:
-        line.write({"error": str(error)})
-    finally:
-        pool.close()
-        ray.shutdown()
-    return 0
+        raise UniconError(f"ray: {said}; what Ray said is in {task['log']}") from error
+    return ray
+
+
+def main() -> None:
+    """Run rows until there are no more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the command's
+    line = Line()
+    task = line.read()
+    with ExitStack() as after:  # the error comes first: Ray's end may be ours
+        try:
+            ray = _joined(task)
+            count = min(task["workers"] or int(ray.cluster_resources().get("CPU", 0)), task["left"])
+            line.write({"ready": count, "head": ray.get_runtime_context().gcs_address})
+            signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # Ray's own prints a trace
+            pool = ActorPool(ray, task["manifest"], count, task["timeout"])
+            after.callback(ray.shutdown)
+            after.callback(pool.close)
+            for result in pool.run(_rows(line)):
+                line.write(asdict(result))
+            line.write({"done": True})
+        except UniconError as error:
+            line.write({"error": str(error)})
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -259,8 +259,7 @@ def to_ship(seen: Iterable[str]) -> list[str]:
     link, what was read behind it gets a place in it.
     """
     roots = [f"{root}{os.sep}" for root in config_roots()]
-    source = Path(__file__).resolve().parents[3]
-    there = [*SYSTEM, *(str(source / name) for name in PACKAGES), sys.prefix, sys.base_prefix]
+    there = [*SYSTEM, *(str(_SOURCE / name) for name in PACKAGES), sys.prefix, sys.base_prefix]
     there += _installed(tuple(there))
     has = tuple(f"{each}{os.sep}" for each in there)
 
