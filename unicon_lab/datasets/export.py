@@ -6,7 +6,8 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -246,9 +247,17 @@ def export_dataset(paths: Sequence[Path], out: Path, wanted: Wanted) -> list[str
         raise UniconError(f"{paths[0]}: none of its states is ever a number; give --states")
     features = features_of(columns, cameras[0], wanted.video)
     writer = _writer(wanted, _count_nan(episodes, columns, told), told)
-    name = _written(writer, out, fps, features, first, episodes, columns, wanted)
+    with _whole(out, writer is DatasetWriter) as place:
+        made = writer(place, fps, features, first.facts.get("robot", ""))
+        for episode in episodes:
+            values = {each.key: each.values(episode) for each in columns}
+            values[TICK] = episode.record.ticks[episode.rows].reshape(-1, 1)
+            task = wanted.task or episode.task or episode.record.facts.get("workflow") or "unicon"
+            made.add(episode, values, task)
+        made.finish()
+        _write_sources(place, episodes)
     frames = sum(len(episode.rows) for episode in episodes)
-    line = f"{out}: {len(episodes)} episodes, {frames} frames at {fps} fps, written by {name}"
+    line = f"{out}: {len(episodes)} episodes, {frames} frames at {fps} fps, written by {made.name}"
     for camera in cameras[0]:
         held = sum(episode.held[camera] for episode in episodes)
         if held:
@@ -291,29 +300,19 @@ def _writer(wanted: Wanted, nan: bool, told: list[str]) -> Any:
     return PackageWriter
 
 
-def _written(
-    writer: Any,
-    out: Path,
-    fps: int,
-    features: Any,
-    first: Record,
-    episodes: Sequence[Episode],
-    columns: Sequence[Column],
-    wanted: Wanted,
-) -> str:
-    """Write it beside its place and give it its name when it is whole; return who wrote it."""
+@contextmanager
+def _whole(out: Path, ours: bool) -> Iterator[Path]:
+    """Yield a place for a folder, which gets its name when it is whole, and errors one line.
+
+    Args:
+        out: the folder.
+        ours: our own writer writes it, whose other exceptions pass.
+    """
     beside = None
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         beside = Path(tempfile.mkdtemp(prefix=f"{out.name}.partial-", dir=out.parent))
-        made = writer(beside / out.name, fps, features, first.facts.get("robot", ""))
-        for episode in episodes:
-            values = {each.key: each.values(episode) for each in columns}
-            values[TICK] = episode.record.ticks[episode.rows].reshape(-1, 1)
-            task = wanted.task or episode.task or episode.record.facts.get("workflow") or "unicon"
-            made.add(episode, values, task)
-        made.finish()
-        _write_sources(beside / out.name, episodes)
+        yield beside / out.name
         os.rename(beside / out.name, out)
     except OSError as error:
         refuse_existing(out)
@@ -324,7 +323,7 @@ def _written(
     except UniconError:
         raise
     except Exception as error:
-        if writer is DatasetWriter:
+        if ours:
             raise
         raise UniconError(
             f"lerobot cannot write {out}: {one_line(error)[:300]}; give --writer own"
@@ -332,7 +331,6 @@ def _written(
     finally:
         if beside is not None:
             shutil.rmtree(beside, ignore_errors=True)
-    return str(made.name)
 
 
 def _write_sources(root: Path, episodes: Sequence[Episode]) -> None:
