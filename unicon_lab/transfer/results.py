@@ -10,6 +10,7 @@ import numpy as np
 import yaml
 
 from unicon_base import AnyDict, AnyMapping, UniconError
+from unicon_base.located_yaml import read_yaml
 from unicon_base.resources import sha256_of, sha256_text
 from unicon_core import __version__
 from unicon_core.page import plain
@@ -21,16 +22,8 @@ from unicon_ros.bench.report import machine
 
 SCHEMA = "unicon.transfer/1"
 
-OUTCOMES = {
-    "missing": "not installed",
-    "refused": "refused",
-    "crashed": "crashed",
-    "timeout": "no end",
-    "interrupted": "interrupted",
-    "fault": "fault",
-    "fell": "fell",
-    "ran": "done",
-}
+_TABLES: AnyDict = read_yaml(Path(__file__).with_suffix(".yaml")).value
+OUTCOMES: dict[str, str] = _TABLES["outcomes"]
 """What may become of a run, in words, the worst first."""
 
 NOT_RUN = ("missing", "refused")
@@ -200,32 +193,7 @@ def spread(values: Iterable[float | None]) -> dict[str, float | int | None]:
     }
 
 
-COLUMNS: dict[str, tuple[str, str, str]] = {
-    "distance_m": ("distance", "m", "way in the commanded direction"),
-    "distance_share": ("of commanded", "%", "the same as a share of what was commanded"),
-    "speed_error": (
-        "speed error",
-        "m/s",
-        "RMS of measured minus commanded velocity (vx, vy), sway of the gait included",
-    ),
-    "turn_error": ("turn error", "rad/s", "RMS of measured minus commanded turning (wz)"),
-    "mse": (
-        "MSE",
-        "rad²",
-        "mean of squared differences of joint positions, sample by sample, one joint",
-    ),
-    "unfolded_mse": (
-        "unfolded MSE",
-        "rad²",
-        "as the authors of UniCon compute it: MSE of half a run, where it suits the beginning of "
-        "the other run best, one joint",
-    ),
-    "wall_per_simulated_s": (
-        "wall time",
-        "s/s",
-        "of a simulated second, policy included, from the first tick on",
-    ),
-}
+COLUMNS: dict[str, list[str]] = _TABLES["columns"]
 """Figure to heading, unit and meaning."""
 
 FACTORS = {"distance_share": 100.0}
