@@ -5,6 +5,7 @@ Steps take turns, loops are paced; networks and contracts have a given size and 
 
 from __future__ import annotations
 
+import json
 import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
@@ -15,8 +16,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from unicon_base import imported
+from unicon_base import AnyDict, imported
 from unicon_base.arrays import Float64
+from unicon_base.located_yaml import read_yaml
 from unicon_core.policies import PolicyContract, load_policy
 from unicon_core.robots import Robot
 from unicon_core.runtime import TickStatistics
@@ -157,16 +159,6 @@ def sleep_until(due: int) -> None:
         time.sleep(remaining * 1e-9)
 
 
-TERMS = (
-    "{name: base_ang_vel, state: base_ang_vel, scale: 0.25",
-    "{name: projected_gravity, state: projected_gravity",
-    "{name: velocity_command, state: velocity_command, scale: 2.0",
-    "{name: joint_pos_rel, state: joint_pos, subtract: default_joint_pos",
-    "{name: joint_vel_rel, state: joint_vel, scale: 0.05",
-    "{name: last_action, state: action",
-)
-"""The 45 values of a quadruped's velocity policy: legged_gym's, without the base velocity."""
-
 HIDDEN = (512, 256, 128)  # sizes of the hidden layers
 
 CLIP = 100.0
@@ -230,23 +222,16 @@ def random_policy(
     )
     folder.mkdir(parents=True, exist_ok=True)
     onnx.save(network, folder / "policy.onnx")
-    frames = f", clip: [{-CLIP}, {CLIP}], history: {history}}}"
-    lines = [
-        "schema: unicon.policy/1",
-        "name: random",
-        "onnx: policy.onnx",
-        "period: 0.02",
-        f"joints: {list(robot.joint_names)}",
-        f"default_joint_pos: {[float(x) for x in robot.default_joint_pos]}",
-        "action: {scale: 0.25}",
-        f"stiffness: {[30.0] * n}",
-        f"damping: {[1.0] * n}",
-        "inputs: {observation: obs}",
-        "outputs: {action: actions}",
-        *(["recurrent: [{input: h_in, output: h_out}]"] if recurrent else []),
-        "observation:",
-        "  terms:",
-        *(f"    - {term}{frames}" for term in TERMS),
-    ]
-    (folder / "policy.yaml").write_text("\n".join(lines) + "\n", "utf-8")
+    contract: AnyDict = read_yaml(Path(__file__).with_name("policy.yaml")).value
+    for term in contract["observation"]["terms"]:
+        term |= {"clip": [-CLIP, CLIP], "history": history}
+    if recurrent:
+        contract["recurrent"] = [{"input": "h_in", "output": "h_out"}]
+    contract |= {
+        "joints": list(robot.joint_names),
+        "default_joint_pos": robot.default_joint_pos.tolist(),
+        "stiffness": [30.0] * n,
+        "damping": [1.0] * n,
+    }
+    (folder / "policy.yaml").write_text(json.dumps(contract), "utf-8")
     return load_policy(folder, robot=robot)
