@@ -42,18 +42,18 @@ RECEIVED = 10
 """Topics that are received from in a row: the first evicts what publishing left in the caches."""
 
 
-def run(rounds: int | None = None) -> Bench:
+def run(rounds: int = 9) -> Bench:
     """Run the comparison.
 
     Args:
-        rounds: interleaved rounds, 9 unless told.
+        rounds: interleaved rounds.
 
     Raises:
         MissingDependencyError: rclpy is not installed.
     """
     stay_on_loopback()
     rclpy = compat.import_rclpy("unicon bench bridge")
-    bench = Bench("bridge", rounds or 9)
+    bench = Bench("bridge", rounds)
     context = rclpy.context.Context()
     rclpy.init(context=context, signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
     node = rclpy.node.Node("bench_bridge", context=context)

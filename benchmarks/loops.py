@@ -50,17 +50,16 @@ from unicon_ros.bench.report import Bench
 from unicon_ros.bench.rounds import interval
 
 TIMING_RATE = 500.0  # Hz
-ROUNDS = 15
 TIMING_SECONDS = 1.5  # of each loop in each round: 750 ticks, whose p99 is the eighth latest
 
 
-def run_timing(rounds: int | None = None) -> Bench:
+def run_timing(rounds: int = 15) -> Bench:
     """Run the comparison.
 
     Args:
-        rounds: interleaved rounds, 15 unless told.
+        rounds: interleaved rounds.
     """
-    bench = Bench("timing", rounds or ROUNDS)
+    bench = Bench("timing", rounds)
     loops: dict[str, Callable[[int], Paced]] = {
         "time.sleep": lambda ticks: paced(ticks, TIMING_RATE, sleep_until),
         "unicon": lambda ticks: _ours(ticks, TIMING_RATE),
@@ -103,13 +102,13 @@ CHUNK = ChunkSpec(10, steps=5)
 BESIDE, BESIDE_NONE = "tick of chunks, beside a child", "tick of chunks, beside none"
 
 
-def run_policy(rounds: int | None = None) -> Bench:
+def run_policy(rounds: int = 5) -> Bench:
     """Run the comparison.
 
     Args:
-        rounds: interleaved rounds, 5 unless told.
+        rounds: interleaved rounds.
     """
-    bench = Bench("policy", rounds or 5)
+    bench = Bench("policy", rounds)
     robot = load_robot("go2")
     with tempfile.TemporaryDirectory() as folder:
         contract = random_policy(Path(folder) / "one", robot)

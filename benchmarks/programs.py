@@ -58,13 +58,13 @@ _PHYSICS: AnyDict = {
 }
 
 
-def run_batch(rounds: int | None = None) -> Bench:
+def run_batch(rounds: int = 5) -> Bench:
     """Run the comparison.
 
     Args:
-        rounds: interleaved rounds, 5 unless told.
+        rounds: interleaved rounds.
     """
-    bench = Bench("batch", rounds or 5)
+    bench = Bench("batch", rounds)
     kinds = [
         ("batch64", "per robot", 0.35, 200, {}),
         ("batch64_physics", "with physics, per robot", 0.6, 100, _PHYSICS),
@@ -105,13 +105,13 @@ BAR = 1.05
 """Of `tick` to `engine` of PyBullet; of the others nothing is promised."""
 
 
-def run_simulators(rounds: int | None = None) -> Bench:
+def run_simulators(rounds: int = 10) -> Bench:
     """Run the comparison.
 
     Args:
-        rounds: interleaved rounds, 10 unless told.
+        rounds: interleaved rounds.
     """
-    bench = Bench("simulators", rounds or 10)
+    bench = Bench("simulators", rounds)
     times = Samples()
     platforms: dict[str, SteppedSimulator] = {}
     for name in simulators():
@@ -166,7 +166,6 @@ def _ticks(platform: SteppedSimulator) -> tuple[Float64, Float64]:
     return spent[0] * 1e-3, spent[1] * 1e-3
 
 
-ROUNDS = 10
 PATIENCE = 60.0  # s for a process
 
 BASE = "import mujoco, onnxruntime"
@@ -182,17 +181,17 @@ print(process_age_s() - (time.monotonic() - done))
 """
 
 
-def run_start(rounds: int | None = None) -> Bench:
+def run_start(rounds: int = 10) -> Bench:
     """Run the comparison.
 
     Args:
-        rounds: interleaved rounds, 10 unless told.
+        rounds: interleaved rounds.
 
     Raises:
         MissingDependencyError: MuJoCo or ONNX Runtime is not installed.
         RuntimeError: a run fails.
     """
-    bench, times = Bench("start", rounds or ROUNDS), Samples()
+    bench, times = Bench("start", rounds), Samples()
     cases = [BASE, RUN]
     with suppress(MissingDependencyError):
         compat.import_rclpy("unicon bench start")

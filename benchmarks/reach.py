@@ -86,13 +86,13 @@ class _Watch:
         return float(self._apart.rows()[0].min())
 
 
-def run(rounds: int | None = None) -> Bench:
+def run(rounds: int = 5) -> Bench:
     """Run the comparison.
 
     Args:
-        rounds: interleaved rounds, 5 unless told.
+        rounds: interleaved rounds.
     """
-    bench = Bench("reach", rounds or 5)
+    bench = Bench("reach", rounds)
     robot = load_robot(ROBOT)
     path, moved = pick_model(robot), robot.group(MOVES)
     bare, kept = (load_apart(path, robot, HANDS, moved, apart) for apart in (0.0, APART))

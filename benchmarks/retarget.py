@@ -37,13 +37,13 @@ TICKS = 500  # of a round
 OTHER = "dex-retargeting"
 
 
-def run(rounds: int | None = None) -> Bench:
+def run(rounds: int = 5) -> Bench:
     """Run the comparison.
 
     Args:
-        rounds: interleaved rounds, 5 unless told.
+        rounds: interleaved rounds.
     """
-    bench = Bench("retarget", rounds or 5)
+    bench = Bench("retarget", rounds)
     robot = load_robot(ROBOT)
     model = HandModel(robot)
     sides: dict[str, Retargeter] = {"unicon": _ours(robot)}

@@ -60,11 +60,11 @@ _FIRST = round(RATE)
 RECORD_WITH, RECORD_WITHOUT = "recorded", "not recorded"
 
 
-def run_record(rounds: int | None = None, seconds: float = SECONDS) -> Bench:
+def run_record(rounds: int = 6, seconds: float = SECONDS) -> Bench:
     """Run the comparison.
 
     Args:
-        rounds: interleaved rounds, 6 unless told.
+        rounds: interleaved rounds.
         seconds: of each run, in [s].
 
     Raises:
@@ -72,7 +72,7 @@ def run_record(rounds: int | None = None, seconds: float = SECONDS) -> Bench:
     """
     stay_on_loopback()
     compat.import_rclpy("unicon bench record")
-    bench = Bench("record", rounds or 6)
+    bench = Bench("record", rounds)
     times = Samples()
     written: AnyDict = {}
     with tempfile.TemporaryDirectory() as folder:
@@ -198,17 +198,17 @@ NONE, ALONE, LOOKED_AT = "no viewer", "viewer", "viewer, 3 clients"
 CLIENTS = ("reads", "reads", "stalled")
 
 
-def run_view(rounds: int | None = None, seconds: float = SECONDS) -> Bench:
+def run_view(rounds: int = 5, seconds: float = SECONDS) -> Bench:
     """Run the comparison.
 
     Args:
-        rounds: interleaved rounds, 5 unless told.
+        rounds: interleaved rounds.
         seconds: of each run, in [s].
 
     Raises:
         MissingDependencyError: viser or MuJoCo is not installed.
     """
-    bench = Bench("view", rounds or 5)
+    bench = Bench("view", rounds)
     times = Samples()
     received: list[int] = []
     for number in range(bench.rounds):
@@ -278,13 +278,13 @@ APART_NS = 10_000_000
 WITH, WITHOUT = "tick with a robot's safety blocks", "tick without"
 
 
-def run_safety(rounds: int | None = None) -> Bench:
+def run_safety(rounds: int = 10) -> Bench:
     """Run the comparison.
 
     Args:
-        rounds: interleaved rounds, 10 unless told.
+        rounds: interleaved rounds.
     """
-    bench = Bench("safety", rounds or 10)
+    bench = Bench("safety", rounds)
     times = Samples()
     with tempfile.TemporaryDirectory() as folder:
         random_policy(Path(folder), load_robot("g1_29dof"))

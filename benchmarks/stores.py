@@ -158,7 +158,6 @@ WAYS: Mapping[str, tuple[Callable[..., Any], Callable[..., Any], str]] = {
 
 RATE = 500.0  # Hz
 SECONDS = 0.5
-ROUNDS = 20
 SAMPLES, REPEATS = 50, 200  # of publish in a round; a clock reading costs a tenth of one
 
 PUBLISH, COPY = "publish 1 kB: shm", "publish 1 kB: a plain copy"
@@ -179,13 +178,12 @@ INSTALL = {
 TIMES = ("one way", "send", "reader's CPU [% of a core]")
 
 
-def run(rounds: int | None = None) -> Bench:
+def run(rounds: int = 20) -> Bench:
     """Run the comparison; Ctrl-C ends it with the rounds that are whole.
 
     Args:
-        rounds: interleaved rounds, 20 unless told.
+        rounds: interleaved rounds.
     """
-    rounds = rounds or ROUNDS
     skipped = {
         name: f"skipped: {INSTALL[module]}"
         for name, (_, _, module) in WAYS.items()

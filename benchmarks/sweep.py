@@ -30,7 +30,6 @@ from unicon_ros.bench.report import Bench
 
 ROLLOUTS = 2000
 """In all rounds together, of each side."""
-ROUNDS = 20
 SECONDS = 10.0
 RATE = 50.0
 MOST_CORES = 2
@@ -42,11 +41,11 @@ SIDES = {"local": "sweep", "batch": "batch"}
 WORKFLOW = Path(__file__).with_name("walk.yaml")
 
 
-def run(rounds: int | None = None, rollouts: int = ROLLOUTS) -> Bench:
+def run(rounds: int = 20, rollouts: int = ROLLOUTS) -> Bench:
     """Run the comparison.
 
     Args:
-        rounds: interleaved rounds, 20 unless told.
+        rounds: interleaved rounds.
         rollouts: of each side in all rounds together.
     """
     from unicon_lab.sweep.engines import LocalEngine, Wish, engine_of
@@ -56,7 +55,7 @@ def run(rounds: int | None = None, rollouts: int = ROLLOUTS) -> Bench:
     from unicon_lab.sweep.sweep_file import read_sweep
 
     require_pyarrow()
-    bench = Bench("sweep", rounds or ROUNDS)
+    bench = Bench("sweep", rounds)
     cores = min(len(os.sched_getaffinity(0)), MOST_CORES)
     each = max(rollouts // bench.rounds // cores, 1) * cores
     times = Samples()

@@ -31,13 +31,13 @@ REPEATS = 8  # loops in one sample: a clock reading costs as much as two blocks
 SAMPLES = 40  # samples of each case in each round
 
 
-def run(rounds: int | None = None) -> Bench:
+def run(rounds: int = 15) -> Bench:
     """Run the comparison.
 
     Args:
-        rounds: interleaved rounds, 15 unless told.
+        rounds: interleaved rounds.
     """
-    bench = Bench("tick", rounds or 15)
+    bench = Bench("tick", rounds)
     cases: dict[str, Step] = {}
     for count in BLOCKS:
         empty = [_nothing(i) for i in range(count)]

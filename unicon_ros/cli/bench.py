@@ -39,10 +39,10 @@ CHECKOUT = Path(unicon_ros.__file__).resolve().parents[1]
 """Where this package lies; the benches that are not shipped lie beside it, in a checkout."""
 
 SHARED = (
-    *("rounds", "json", "plot", "strict"),
+    *("json", "plot", "strict"),
     *("command", "bench", "function", "quiet", "verbose"),
 )
-"""What is parsed of every bench."""
+"""What is parsed of every bench and not for it."""
 _SECONDS = option("--seconds", type=float, help="time of a run, 10 s unless told")
 
 
@@ -54,7 +54,7 @@ def bench(arguments: argparse.Namespace) -> int:
     options = {name: each for name, each in given if name not in SHARED and each is not None}
     module, own = _module(arguments.bench), f"run_{arguments.bench}"
     run = getattr(module, own) if hasattr(module, own) else module.run  # of several, or of one
-    result = run(rounds=arguments.rounds, **options)
+    result = run(**options)
     print(result.table())
     if arguments.json:
         write_file(Path(arguments.json), f"{result.to_json()}\n".encode())
