@@ -112,7 +112,7 @@ def _other(robot: Robot) -> Retargeter:
     return lambda _, vectors: made.retarget(vectors)[ours]
 
 
-def copied_hand(model: HandModel, q: Float64, size: float = 1.0) -> Float32:
+def copied_hand(model: HandModel, q: Float64) -> Float32:
     """Return the poses of a human hand whose fingers are as a robot's, shape (25, 7).
 
     Its fingers are as long as the robot's reach, or longer where they must be; the bones bend as
@@ -121,7 +121,6 @@ def copied_hand(model: HandModel, q: Float64, size: float = 1.0) -> Float32:
     Args:
         model: of the robot's hand; it is put at `q`.
         q: the robot's joints in [rad], shape (n,).
-        size: of the human's hand, for one of the robot's.
     """
     model.put(q)
     tips, points = model.tips, np.zeros((JOINTS, 3))
@@ -145,7 +144,7 @@ def copied_hand(model: HandModel, q: Float64, size: float = 1.0) -> Float32:
         if other != "thumb":
             points[chain[0] - 1] = 0.5 * (points[chain[0]] + points[0])
     poses = np.zeros((JOINTS, 7), np.float32)
-    poses[:, :3] = (points - points[0]) * size
+    poses[:, :3] = points - points[0]
     poses[:, 3] = 1.0
     return poses
 

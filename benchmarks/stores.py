@@ -67,10 +67,6 @@ def _shm_sender(place: Path, states: States) -> ShmWriter:
     return ShmWriter(segment, GROUP, states)
 
 
-def _zmq_sender(place: Path, states: States) -> ZmqWriter:
-    return ZmqWriter(f"ipc://{place}", GROUP, states.layout, states)
-
-
 class _Waiting:
     """Waits for one of our readers, asleep."""
 
@@ -91,10 +87,6 @@ def _shm_receiver(place: Path, states: States) -> _Waiting:
             if time.monotonic() > end:
                 raise
             time.sleep(0.01)
-
-
-def _zmq_receiver(place: Path, states: States) -> _Waiting:
-    return _Waiting(ZmqReader(f"ipc://{place}", GROUP, states.layout, states))
 
 
 class _RosNode:
@@ -151,7 +143,11 @@ class RosReceiver(_RosNode):
 
 WAYS: Mapping[str, tuple[Callable[..., Any], Callable[..., Any], str]] = {
     "shm, sleeping": (_shm_sender, _shm_receiver, "sys"),
-    "zmq ipc": (_zmq_sender, _zmq_receiver, "zmq"),
+    "zmq ipc": (
+        lambda place, states: ZmqWriter(f"ipc://{place}", GROUP, states.layout, states),
+        lambda place, states: _Waiting(ZmqReader(f"ipc://{place}", GROUP, states.layout, states)),
+        "zmq",
+    ),
     "rclpy": (RosSender, RosReceiver, "rclpy"),
 }
 """Name of each way to its ends, made of a place and the states, and the module that it needs."""

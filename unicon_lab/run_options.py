@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from unicon_base import AnyDict, AnyMapping, UniconError
 from unicon_core.page import refuse_unwritable
@@ -156,7 +156,10 @@ def attachments(asked: Asked) -> Iterator[Attachment]:
         MissingDependencyError: a package that one needs is not installed.
         UniconError: an option's value is of no use.
     """
-    get = asked.options.get
+
+    def get(name: str) -> Any:
+        return asked.options.get(name) or ""
+
     recording = None
     if get("record") or get("collect"):
         from unicon_lab.recording.collection import Collection
@@ -164,39 +167,38 @@ def attachments(asked: Asked) -> Iterator[Attachment]:
 
         made: Callable[..., Recording] = Recording
         if get("collect"):
-            made = partial(Collection, get("episodes") or 20, get("task") or "")
+            made = partial(Collection, get("episodes") or 20, get("task"))
         recording = made(
             get("record") or get("collect"),
             asked.map_name,
             asked.session,
             asked.warn,
             get("speed") == "max",
-            get("record_split") or "",
-            get("namespace") or "",
-            get("frame_prefix") or "",
-            [name for each in (get("record_frames") or "").split(",") if (name := each.strip())],
+            get("record_split"),
+            get("namespace"),
+            get("frame_prefix"),
+            [name for each in get("record_frames").split(",") if (name := each.strip())],
             get("record_jpeg") or 0,
         )
         yield recording
-    picture, page = get("picture") or "", get("report") or ""
+    picture, page = get("picture"), get("report")
     page = page if page.lower().endswith(".html") else ""
     if picture:
         refuse_unwritable(Path(picture))
     if picture or page:
         from unicon_lab.report.run_page import Pictured
 
-        yield Pictured(picture, page, get("record") or "")
+        yield Pictured(picture, page, get("record"))
     if get("view") == "window":
         yield _Window()
     elif get("view"):
         from unicon_lab.view.view import View
 
         options, prefix = view_options(asked.options), asked.options["frame_prefix"]
-        recorded = get("record") or ""
-        view = View(options, asked.session, asked.map_name, prefix, asked.warn, recorded)
+        view = View(options, asked.session, asked.map_name, prefix, asked.warn, get("record"))
         view.declare(asked.document)
         yield view
-    if get("metrics") is not None:
+    if asked.options.get("metrics") is not None:
         from unicon_lab.view.metered import Metered
 
         yield Metered(asked.options["metrics"], asked.session, asked.warn)

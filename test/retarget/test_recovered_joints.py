@@ -21,7 +21,8 @@ def followed(model: HandModel, motion: np.ndarray, size: float, anew: bool) -> n
     hand = HumanHand(poses, model.fingers)
     found = []
     for tick, q in enumerate(motion):
-        poses[...] = copied_hand(model, q, size)
+        poses[...] = copied_hand(model, q)
+        poses[:, :3] *= size
         assert hand.look() == ""
         scale = np.full(len(model.fingers), 1.0 / size)
         retargeting.solve(hand, scale, anew=anew or tick == 0)

@@ -250,11 +250,11 @@ def _ranked(comparison: Comparison) -> str:
 
 
 def _falls(falls: tuple[float, float]) -> list[str]:
+    if all(map(math.isnan, falls)):
+        return []
     real, sim = (
         "did not fall" if math.isnan(at) else f"fell at {at:.2f} s of its run" for at in falls
     )
-    if real == sim == "did not fall":
-        return []
     return [f"The real robot {real}, the simulated one {sim}."]
 
 

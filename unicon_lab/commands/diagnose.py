@@ -209,24 +209,28 @@ def replays(window: str) -> Sequence[Adder]:
     )
 
 
-_add_diagnose = command(
-    "diagnose",
-    _diagnose,
-    "say why a robot moves unlike its simulation",
-    __doc__,
-    argument("record", "RECORD", "record (.mcap) of the robot"),
-    argument(
-        "workflow", "WORKFLOW", "whose contract should have made it (default: its own)", nargs="?"
-    ),
-    argument(
-        "--reference", "RECORD", "of the same robot without the trouble: what both lack is no cause"
-    ),
-    *replays("--window"),
-    argument("--json", "FILE", "write causes and notes as JSON"),
-    argument("--html", "FILE", "write a page with the evidence drawn"),
-)
 add = together(
-    _add_diagnose,
+    command(
+        "diagnose",
+        _diagnose,
+        "say why a robot moves unlike its simulation",
+        __doc__,
+        argument("record", "RECORD", "record (.mcap) of the robot"),
+        argument(
+            "workflow",
+            "WORKFLOW",
+            "whose contract should have made it (default: its own)",
+            nargs="?",
+        ),
+        argument(
+            "--reference",
+            "RECORD",
+            "of the same robot without the trouble: what both lack is no cause",
+        ),
+        *replays("--window"),
+        argument("--json", "FILE", "write causes and notes as JSON"),
+        argument("--html", "FILE", "write a page with the evidence drawn"),
+    ),
     command(
         "excite",
         _excite,

@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from unicon_base import AnyMapping, MissingDependencyError, UniconError
+from unicon_base import MissingDependencyError, UniconError
 from unicon_core.signals import SIGNALS
 from unicon_ros.cli.console import Console, note, warn
 from unicon_ros.cli.options import FORCE, OVERRIDES, REPEATED, argument, command, flag, whole
@@ -142,43 +141,22 @@ def _rows(plan: Plan, folder: Folder, wish: Wish, console: Console) -> None:
     if folder.done:
         console.say(f"{len(folder.done)} of {len(plan)} rollouts are done; going on")
     engine = engine_of(plan, wish, left, folder.path)
-    progress = _progress(console, len(plan), len(folder.done))
+    began, fell, why_not = time.monotonic(), 0, ""
     try:
-        for result in engine.run(todo):
+        for done, result in enumerate(engine.run(todo), 1):
             folder.know(result.facts)
             folder.add(result.index, result.figures)
-            progress(result.figures, result.why_not)
+            fell += bool(result.figures.get("fell"))
+            if result.why_not not in ("", why_not):
+                why_not = result.why_not
+                console.say(f"each rollout is built anew, some 60 ms: {why_not}")
+            if console.due(EVERY):
+                rate = done / max(time.monotonic() - began, 1e-9)
+                there = f"{len(plan) - left + done}/{len(plan)}"
+                rest = f"{(left - done) / rate:.0f} s"
+                console.status({there: f"{rate:.1f}/s", "fell": fell, "left": rest})
     finally:
         engine.close()
-
-
-def _progress(console: Console, whole: int, before: int) -> Callable[[AnyMapping, str], None]:
-    """Return what shows the status line; it takes the figures of a row, and why it was built anew.
-
-    Args:
-        console: that shows it.
-        whole: rows of the sweep.
-        before: that were done by earlier runs.
-    """
-    done = fell = 0
-    began = time.monotonic()
-    told = ""
-
-    def show(figures: AnyMapping, why_not: str) -> None:
-        nonlocal done, fell, told
-        done += 1
-        fell += bool(figures.get("fell"))
-        if why_not and why_not != told:
-            told = why_not
-            console.say(f"each rollout is built anew, some 60 ms: {why_not}")
-        if not console.due(EVERY):
-            return
-        rate = done / max(time.monotonic() - began, 1e-9)
-        there = before + done
-        left = f"{(whole - there) / rate:.0f} s"
-        console.status({f"{there}/{whole}": f"{rate:.1f}/s", "fell": fell, "left": left})
-
-    return show
 
 
 def _ended(results: Results, gates: list[Gate]) -> int:

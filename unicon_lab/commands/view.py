@@ -126,45 +126,49 @@ def _video(arguments: argparse.Namespace) -> int:
     return 0
 
 
-add_view = command(
-    "view",
-    _view,
-    "look at a recording",
-    __doc__,
-    argument("path", "BAG", "a recording, or a fault record", type=Path),
-    option(
-        "--in",
-        dest="sink",
-        choices=tuple(SINKS),
-        default="page",
-        help="where: a page in the browser (default) or Foxglove",
+add = together(
+    command(
+        "view",
+        _view,
+        "look at a recording",
+        __doc__,
+        argument("path", "BAG", "a recording, or a fault record", type=Path),
+        option(
+            "--in",
+            dest="sink",
+            choices=tuple(SINKS),
+            default="page",
+            help="where: a page in the browser (default) or Foxglove",
+        ),
+        option(
+            "--speed",
+            type=positive,
+            default=1.0,
+            help="of playing, where no slider is (default: 1)",
+        ),
+        *VIEW_OPTIONS,
     ),
-    option(
-        "--speed", type=positive, default=1.0, help="of playing, where no slider is (default: 1)"
+    command(
+        "video",
+        _video,
+        "make a video of a recording",
+        "Draw a recording offscreen: the robot on its ground, plots and the time.",
+        argument("record", "RECORD", "a recording, or a fault record", type=Path),
+        argument("out", "FILE", ".mp4, .webm, .webp or .gif", type=Path),
+        flag("--ghost", "show the targets of the joints as a transparent robot"),
+        argument(
+            "--plot",
+            "STATE[:ELEMENT]",
+            "plot a state below, or one element with its target, such as joint_pos:FL_hip_joint "
+            "(repeatable)",
+            **REPEATED,
+        ),
+        argument(
+            "--from", "S", "begin S s after the first tick", type=seconds, dest="begin", default=0.0
+        ),
+        argument("--to", "S", "end S s after the first tick", type=seconds, dest="end"),
+        argument("--speed", "X", "show it X times faster (default: 1)", type=positive, default=1.0),
+        argument("--size", "WxH", "in pixels (default: 640x480)", type=_size, default=(640, 480)),
+        argument("--fps", "N", "frames a second (default: 25)", type=FPS, default=25),
     ),
-    *VIEW_OPTIONS,
 )
-add_video = command(
-    "video",
-    _video,
-    "make a video of a recording",
-    "Draw a recording offscreen: the robot on its ground, plots and the time.",
-    argument("record", "RECORD", "a recording, or a fault record", type=Path),
-    argument("out", "FILE", ".mp4, .webm, .webp or .gif", type=Path),
-    flag("--ghost", "show the targets of the joints as a transparent robot"),
-    argument(
-        "--plot",
-        "STATE[:ELEMENT]",
-        "plot a state below, or one element with its target, such as joint_pos:FL_hip_joint "
-        "(repeatable)",
-        **REPEATED,
-    ),
-    argument(
-        "--from", "S", "begin S s after the first tick", type=seconds, dest="begin", default=0.0
-    ),
-    argument("--to", "S", "end S s after the first tick", type=seconds, dest="end"),
-    argument("--speed", "X", "show it X times faster (default: 1)", type=positive, default=1.0),
-    argument("--size", "WxH", "in pixels (default: 640x480)", type=_size, default=(640, 480)),
-    argument("--fps", "N", "frames a second (default: 25)", type=FPS, default=25),
-)
-add = together(add_view, add_video)

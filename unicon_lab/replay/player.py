@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -34,47 +34,39 @@ LOOK = 0.2
 """How long a key is waited for before the end is looked for, in [s]."""
 
 
-class Keys:
-    """Reads keys in a thread while it is entered; the terminal is then as it was.
+@contextmanager
+def _keys(controls: Controls, seek: Callable[[int], object], ticks: int) -> Iterator[None]:
+    """Do in a thread what keys say; the terminal is then as it was.
 
     Args:
         controls: of the run.
         seek: goes on by so many ticks.
         ticks: of an arrow.
     """
+    over = threading.Event()
 
-    def __init__(self, controls: Controls, seek: Callable[[int], object], ticks: int) -> None:
-        self._controls, self._seek, self._ticks = controls, seek, ticks
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._read, name="keys", daemon=True)
-
-    def __enter__(self) -> Keys:
-        self._give_back = take_terminal()
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._over.set()
-        self._thread.join()
-        self._give_back()
-
-    def _read(self) -> None:
-        while not self._over.is_set():
+    def read() -> None:
+        while not over.is_set():
             pressed = read_keys(LOOK)
             if pressed is None:  # the terminal has gone
                 return
-            self.press(pressed)
+            if pressed in (RIGHT, LEFT):
+                seek(ticks if pressed == RIGHT else -ticks)
+                pressed = b"s" if controls.paused else b""
+            pause = controls.start if controls.paused else controls.pause
+            does = {b" ": pause, b"s": controls.step, b"r": controls.reset, b"q": controls.stop}
+            if pressed in does:
+                does[pressed]()
 
-    def press(self, pressed: bytes) -> None:
-        """Do what keys say."""
-        controls = self._controls
-        if pressed in (RIGHT, LEFT):
-            self._seek(self._ticks if pressed == RIGHT else -self._ticks)
-            pressed = b"s" if controls.paused else b""
-        pause = controls.start if controls.paused else controls.pause
-        does = {b" ": pause, b"s": controls.step, b"r": controls.reset, b"q": controls.stop}
-        if pressed in does:
-            does[pressed]()
+    thread = threading.Thread(target=read, name="keys", daemon=True)
+    give_back = take_terminal()
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+        give_back()
 
 
 SEEK = 5.0
@@ -127,7 +119,7 @@ def play(
         else:
             controls = Controls(time.sleep)
             controls.runner = runner
-        pressed = Keys(controls, platform.seek, round(SEEK / record.period))
+        pressed = _keys(controls, platform.seek, round(SEEK / record.period))
         with pressed if keys else nullcontext():
             return runner.run()
     finally:

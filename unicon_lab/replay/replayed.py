@@ -133,31 +133,30 @@ class Replayed:
             elif row > 0 and record.phases[row - 1] == phase:
                 lost |= record.ticks[row] != record.ticks[row - 1] + 1  # memory is not known then
             graph = None if lost else self._graph(row, phase)
-            if not record.ended[row]:
-                if graph is not None:  # nothing of the tick is compared
-                    self._row, self.graph, self.fault = row, graph, ""
-                    try:
-                        graph.step()
-                        graph.deferred()
-                    except Exception as error:
-                        self.fault = one_line(error)
-                continue
+            ended = record.ended[row]
             if graph is None:
-                why = f"of phase {phase}" if not lost else "behind ticks that were not recorded"
-                self.skipped[why] = self.skipped.get(why, 0) + 1
+                if ended:
+                    why = "behind ticks that were not recorded" if lost else f"of phase {phase}"
+                    self.skipped[why] = self.skipped.get(why, 0) + 1
                 continue
             self._row, self.graph = row, graph
-            # Where the flow itself was done this changes nothing: all begins anew either way.
-            platform.done = bool(record.done[row])
-            ran += 1
+            if ended:
+                # Where the flow itself was done this changes nothing: all begins anew either way.
+                platform.done = bool(record.done[row])
+                ran += 1
+            else:  # nothing of the tick is compared
+                self.fault = ""
             try:
                 graph.step()
                 graph.deferred()
             except Exception as error:
-                if self._told_of == row and not all(record.ended[row + 1 : row + 2]):
+                if not ended:
+                    self.fault = one_line(error)
+                elif self._told_of == row and not all(record.ended[row + 1 : row + 2]):
                     self.fault = one_line(error)  # found behind send, as in the run
                     break
-                self.failed(row, error)
+                else:
+                    self.failed(row, error)
         return ran
 
     def _graph(self, row: int, phase: str) -> CompiledGraph | None:

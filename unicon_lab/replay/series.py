@@ -96,12 +96,12 @@ class Series:
         self.record = record
         self.rows = _rows(record, period, start)
         refuse_other_batch(record, states)
-        self._values: dict[str, Array] = {}
-        for name in names:
-            if name in record.kept[moment] and name in states:
-                values = _aligned(record, name, moment, states)
-                if values is not None:
-                    self._values[name] = values[self.rows]
+        self._values: dict[str, Array] = {
+            name: values[self.rows]
+            for name in names
+            if name in record.kept[moment] and name in states
+            if (values := _aligned(record, name, moment, states)) is not None
+        }
         self._pairs = tuple((states[name], values) for name, values in self._values.items())
         self.names = tuple(self._values)
 

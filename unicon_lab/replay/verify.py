@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -16,7 +16,6 @@ from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.policies import Policy
 from unicon_core.policies.policy import policy_of
 from unicon_core.runtime.phases import Phase
-from unicon_core.states import States
 from unicon_core.states.standard import COMMAND_STATES
 from unicon_core.workflow import WorkflowDocument
 from unicon_lab.recording import Record
@@ -69,56 +68,6 @@ class Difference:
             *(("why", text) for text in self.why),
             *([("also differ", ", ".join(self.others))] if self.others else []),
         ]
-
-
-def located(
-    found: Difference,
-    names: Collection[str],
-    recorded: Callable[[str], Array],
-    states: States,
-    graph: CompiledGraph,
-) -> Difference:
-    """Return the difference with block, element and reason, from the states that differ.
-
-    Args:
-        found: row, tick and phase.
-        names: of all states that differ, at least one.
-        recorded: returns the recorded value of a state.
-        states: as replayed.
-        graph: which has just run the tick.
-    """
-    ran = list(_ran(graph))
-    block, state = next(
-        ((b, name) for b in ran for name in (*b.writes, *b.amends) if name in names),
-        (None, next(iter(names))),
-    )
-    there, here = np.atleast_1d(recorded(state)), np.atleast_1d(states[state])
-    place = unequal(there, here)
-    said, why = "none that ran in this tick", []
-    if block is not None:
-        others = [each.name for each in ran if each is not block and state in each.amends]
-        more = f"; amended by {', '.join(dict.fromkeys(others))}" if others else ""
-        said = f"{block.name}{f' ({block.where})' if block.where else ''}{more}"
-        policy = policy_of(block)
-        why = [] if policy is None else _reason(policy, state, place[-1], there, here)
-    spec, inner, batch = states.spec(state), place, states.num_robots is not None
-    element = []
-    if batch:
-        element, inner = [f"robot {place[0]}"], place[1:]
-    if spec.names:
-        element += [*map(str, inner[:-1]), spec.names[inner[-1]]]
-    elif spec.shape:
-        element.append(f"element {', '.join(map(str, inner))}")
-    return replace(
-        found,
-        block=said,
-        state=state,
-        element=", ".join(element),
-        recorded=there[place].item(),
-        replayed=here[place].item(),
-        why=tuple(why),
-        others=tuple(name for name in names if name != state),
-    )
 
 
 def unequal(there: Array, here: Array) -> tuple[int, ...]:
@@ -296,13 +245,7 @@ class _Compared(Replayed):
         self.rows.add(row)
         self.commands += not set(names).isdisjoint(COMMAND_STATES)
         if self.first is None:
-            self.first = located(
-                self._begun(row),
-                names,
-                lambda name: np.asarray(columns.column(name, "sent")[row]),
-                states,
-                self.graph,
-            )
+            self.first = self._located(row, names)
 
     def failed(self, row: int, error: Exception) -> None:
         """Take a tick that raised where the recorded one did not: it differs."""
@@ -312,6 +255,47 @@ class _Compared(Replayed):
             kind = "" if isinstance(error, Fault) else f"{type(error).__name__}: "
             fault = f"{kind}{' '.join(str(error).split())}"
             self.first = replace(self._begun(row), fault=fault)
+
+    def _located(self, row: int, names: Collection[str]) -> Difference:
+        """Return the first difference of a tick that has just run, with its reason.
+
+        Args:
+            row: of the record.
+            names: of all states that differ, at least one.
+        """
+        ran = list(_ran(self.graph))
+        block, state = next(
+            ((b, name) for b in ran for name in (*b.writes, *b.amends) if name in names),
+            (None, next(iter(names))),
+        )
+        states = self.program.states
+        there = np.atleast_1d(self.columns.column(state, "sent")[row])
+        here = np.atleast_1d(states[state])
+        place = unequal(there, here)
+        said, why = "none that ran in this tick", []
+        if block is not None:
+            others = [each.name for each in ran if each is not block and state in each.amends]
+            more = f"; amended by {', '.join(dict.fromkeys(others))}" if others else ""
+            said = f"{block.name}{f' ({block.where})' if block.where else ''}{more}"
+            policy = policy_of(block)
+            why = [] if policy is None else _reason(policy, state, place[-1], there, here)
+        spec, inner, element = states.spec(state), place, list[str]()
+        if states.num_robots is not None:
+            element, inner = [f"robot {place[0]}"], place[1:]
+        if spec.names:
+            element += [*map(str, inner[:-1]), spec.names[inner[-1]]]
+        elif spec.shape:
+            element.append(f"element {', '.join(map(str, inner))}")
+        return replace(
+            self._begun(row),
+            block=said,
+            state=state,
+            element=", ".join(element),
+            recorded=there[place].item(),
+            replayed=here[place].item(),
+            why=tuple(why),
+            others=tuple(name for name in names if name != state),
+        )
 
     def _begun(self, row: int) -> Difference:
         return Difference(row, int(self.record.ticks[row]), self.record.phases[row])

@@ -129,7 +129,7 @@ class Folder:
             return
         line = _line(index, figures)
         try:
-            if self._journal.write(line) != len(line):
+            if os.write(self._journal.fileno(), line) != len(line):
                 raise OSError(28, "No space left on device")
         except OSError as error:
             raise self._full(error) from error
