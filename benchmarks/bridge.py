@@ -30,7 +30,6 @@ from unicon_ros.bench.report import Bench, stay_on_loopback
 from unicon_ros.bridge.topics import TopicIn, TopicOut
 
 JOINTS = 20
-FEW, MANY = 12, 64  # joints that `send_growth` compares
 SAMPLES = 200  # of each case in each round
 SENDS = 20  # messages in one sample of a send: a clock reading costs 1 % of one then
 POLLS = 20  # empty looks in one sample
@@ -81,7 +80,7 @@ def _measure(bench: Bench, desk: Desk) -> None:
         for name, topic in (("JointState", "joint_states"), ("Imu", "imu/data"), ("Odom", "odom"))
         for who, step in desk.senders(topic, JOINTS).items()
     }
-    for joints in (FEW, MANY):
+    for joints in (12, 64):  # which `send_growth` compares
         sends[f"send JointState, {joints} joints"] = desk.senders("joint_states", joints)["ours"]
     looks = {"empty poll: ours": desk.poller(), "empty poll: spin_once(0)": desk.spin}
     receive = desk.receivers()
@@ -90,16 +89,7 @@ def _measure(bench: Bench, desk: Desk) -> None:
         each.take(sends, SAMPLES, SENDS)
         each.take(looks, SAMPLES, POLLS)
         _take_received(each, receive)
-    few, many = (f"send JointState, {joints} joints" for joints in (FEW, MANY))
-    times.add_to(
-        bench,
-        ("send", "send JointState: ours", "send JointState: new message", 0.3),
-        ("receive", "receive JointState: ours", "receive JointState: typed", 0.3),
-        ("imu_send", "send Imu: ours", "send Imu: new message", 0.5),
-        ("odometry_send", "send Odom: ours", "send Odom: new message", 0.5),
-        ("send_growth", many, few, 1.15),
-        ("empty_poll", "empty poll: ours", "empty poll: spin_once(0)", 0.1),
-    )
+    times.add_to(bench)
     bench.facts["joints"] = JOINTS
 
 

@@ -180,11 +180,7 @@ def _observations(
     for _ in range(bench.rounds):
         for name, call in calls.items():  # each by itself, so that it is warm
             times.take({name: call}, WARM_CALLS // 20, 20)
-    cases = {"observation": "observation", "observation_history6": "observation, history 6"}
-    times.add_to(
-        bench,
-        *((key, f"{case}: fused", f"{case}: concatenate", 0.35) for key, case in cases.items()),
-    )
+    times.add_to(bench)
 
 
 def _ticks(bench: Bench, robot: Robot, contract: PolicyContract) -> None:
@@ -202,7 +198,7 @@ def _ticks(bench: Bench, robot: Robot, contract: PolicyContract) -> None:
     for _ in range(bench.rounds):
         for name, loop in loops.items():
             times.add(name, loop(round(RATE * SECONDS)).took)
-    times.add_to(bench, ("policy_tick_p50", OURS, USUAL, 0.1))
+    times.add_to(bench)
     bench.ratio("policy_tick_p99", times.ratio(OURS, USUAL, percent=99), 0.2)
     bench.ratio("native_tick_p50", times.ratio(NATIVE, ALONE), 1.3)
     bench.ratio("native_tick_p99", times.ratio(NATIVE, ALONE, percent=99), 1.4)
@@ -218,7 +214,7 @@ def _memory(bench: Bench, robot: Robot, contract: PolicyContract, folder: Path) 
     times = Samples()
     for _ in range(bench.rounds):
         times.take(calls, WARM_CALLS // 20, 20)
-    times.add_to(bench, ("policy_recurrent", "policy call, recurrent", "policy call", 1.3))
+    times.add_to(bench)
 
 
 class AtOnce(ChildNetwork):
@@ -303,8 +299,7 @@ def _scans(bench: Bench, robot: Robot) -> None:
     calls["scan_by_rays"] = HeightScan(spec, states, RayHeights(laid))
     for _ in range(bench.rounds):
         times.take(calls, WARM_CALLS // 20, 5)
-    names = {"scan_flat": "rays_flat", "scan_rough": "rays_rough", "scan_by_rays": "rays_rough"}
-    times.add_to(bench, *((name, name, base, 1.5) for name, base in names.items()))
+    times.add_to(bench)
 
 
 def _usual_loop(robot: Robot, contract: PolicyContract) -> Callable[[int], Paced]:

@@ -66,12 +66,12 @@ def run_batch(rounds: int = 5) -> Bench:
     """
     bench = Bench("batch", rounds)
     kinds = [
-        ("batch64", "per robot", 0.35, 200, {}),
-        ("batch64_physics", "with physics, per robot", 0.6, 100, _PHYSICS),
+        ("per robot", 200, {}),
+        ("with physics, per robot", 100, _PHYSICS),
     ]
     if find_spec("mujoco.mjx") and find_spec("jax"):
         compiled = _PHYSICS | {"platform": "mjx"}
-        kinds.append(("batch64_mjx", "in MJX, per robot", 0.6, 20, compiled))
+        kinds.append(("in MJX, per robot", 20, compiled))
     else:
         bench.facts["MJX"] = "left out: pip install 'unicon_ros[sim-mjx]'"
     times = Samples()
@@ -79,7 +79,7 @@ def run_batch(rounds: int = 5) -> Bench:
         random_policy(Path(folder), load_robot("go2"))
         random = {"policies": {"walk": folder}}
         runners: dict[str, tuple[Runner, int, int]] = {}
-        for _, kind, _, ticks, changed in kinds:
+        for kind, ticks, changed in kinds:
             for size in (1, MANY):
                 program = load_workflow(WORKFLOW, random | changed | {"num_robots": size})
                 runner = Runner(program, RunOptions(speed="max"))
@@ -90,19 +90,13 @@ def run_batch(rounds: int = 5) -> Bench:
                 times.add(name, np.array(took) / size)
         for runner, _, _ in runners.values():
             runner.close()
-    times.add_to(
-        bench,
-        *((name, f"{kind}, N = {MANY}", f"{kind}, N = 1", bar) for name, kind, bar, _, _ in kinds),
-    )
+    times.add_to(bench)
     bench.facts["threads"] = len(shares(MANY))
     return bench
 
 
 TICKS = 40
 """In a round of one simulator."""
-
-BAR = 1.05
-"""Of `tick` to `engine` of PyBullet; of the others nothing is promised."""
 
 
 def run_simulators(rounds: int = 10) -> Bench:
@@ -139,7 +133,7 @@ def run_simulators(rounds: int = 10) -> Bench:
             times.add(f"{name}: tick", engine + beyond)
     for one in platforms.values():
         one.close()
-    times.add_to(bench, ("pybullet", "pybullet: tick", "pybullet: engine", BAR))
+    times.add_to(bench)
     return bench
 
 
@@ -170,8 +164,6 @@ PATIENCE = 60.0  # s for a process
 
 BASE = "import mujoco, onnxruntime"
 RUN, ROS = "unicon run go2_walk", "unicon run go2_walk --ros"
-BARS = (("start", RUN, 2.0), ("start_ros", ROS, 3.3))
-"""Ratio, case and bar: 0.5 s and 0.85 s where the two imports take 0.255 s."""
 
 _AGE = """
 import time
@@ -203,7 +195,7 @@ def run_start(rounds: int = 10) -> Bench:
                 seconds = _seconds(case, Path(folder), environment)
                 if number >= 0:
                     times.add(f"{case} [ms]", seconds * 1e3)
-    times.add_to(bench, *((name, f"{case} [ms]", f"{BASE} [ms]", bar) for name, case, bar in BARS))
+    times.add_to(bench)
     bench.facts["measured"] = "age of the process at the first tick, or at its end, to 10 ms"
     return bench
 

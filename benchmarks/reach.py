@@ -122,11 +122,7 @@ def run(rounds: int = 5) -> Bench:
                     errors.add(case, [error for each in after for error in watch.error(*each)])
                 else:
                     nearest.add(case, min(map(watch.nearest, poses)))
-    times.add_to(
-        bench,
-        ("ik", "circles: ours", "circles: mink", 0.5),
-        ("ik_apart", "circles: ours, apart", "circles: mink, apart", 0.5),
-    )
+    times.add_to(bench)
     for name in errors.names:
         of_all = 1e3 * errors.of(name)
         middle, most = np.percentile(of_all, 50), of_all.max()

@@ -64,7 +64,7 @@ def run(rounds: int = 5) -> Bench:
             took, wrong = np.transpose(of_ticks[1:])  # in the first each looks for the hand
             times.add(name, took)
             times.add(f"{name}: {error}", wrong)
-    times.add_to(bench, ("retarget", "unicon", OTHER, 0.1))
+    times.add_to(bench)
     wrong = 1e-3 * times.of(f"unicon: {error}")
     bench.ratio("joint_error_p99", float(np.percentile(wrong, 99)), 0.01)
     if OTHER in sides:

@@ -303,7 +303,7 @@ def run_safety(rounds: int = 10) -> Bench:
             restore()
             for runner in runners.values():
                 runner.close()
-    times.add_to(bench, ("safety", WITH, WITHOUT, 1.15))
+    times.add_to(bench)
     added = float(np.median(np.subtract(times.of(WITH), times.of(WITHOUT))))  # 10 ms apart
     bench.facts = {
         "blocks": ", ".join(programs[WITH].safety),

@@ -25,6 +25,7 @@ from unicon_core.runtime import TickStatistics
 from unicon_ros.bench.report import Bench
 
 Step = Callable[[], object]
+BARS: AnyDict = read_yaml(Path(__file__).with_name("bars.yaml")).value
 TICK, WHOLE = "recv to send", "whole tick"
 
 
@@ -58,17 +59,11 @@ class Samples:
         for name, values in times.items():
             self.add(name, values)
 
-    def add_to(self, bench: Bench, *claims: tuple[str, str, str, float]) -> None:
-        """Add all cases to a benchmark, and ratios of their medians.
-
-        Args:
-            bench: is added to.
-            claims: name, case, case of the baseline and bar of each ratio; left out where one of
-                the cases was not measured.
-        """
+    def add_to(self, bench: Bench) -> None:
+        """Add all cases to a benchmark, and the ratios of its `BARS` whose cases were measured."""
         for name in self.names:
             bench.case(name, self.of(name))
-        for name, case, base, bar in claims:
+        for name, case, base, bar in BARS.get(bench.name, ()):
             if {case, base} <= self._rounds.keys():
                 bench.ratio(name, self.ratio(case, base), bar)
 

@@ -158,14 +158,6 @@ SAMPLES, REPEATS = 50, 200  # of publish in a round; a clock reading costs a ten
 
 PUBLISH, COPY = "publish 1 kB: shm", "publish 1 kB: a plain copy"
 
-RATIOS = (
-    # name, case, case of the baseline, bar
-    ("shm_one_way", "shm, sleeping: one way", "rclpy: one way", 0.15),
-    ("shm_wake", "shm, sleeping: one way", "zmq ipc: one way", 0.5),
-    ("zmq_one_way", "zmq ipc: one way", "rclpy: one way", 0.4),
-    ("publish", PUBLISH, COPY, 4.0),
-)
-
 INSTALL = {
     "zmq": "pip install 'unicon_ros[zmq]'",
     "rclpy": "pip install 'unicon_ros[ros]', or source /opt/ros/<distro>/setup.bash",
@@ -208,7 +200,7 @@ def run(rounds: int = 20) -> Bench:
             for name, rows in zip(results, round_):
                 for row in TIMES:
                     samples.add(f"{name}: {row}", rows[row])
-    samples.add_to(bench, *RATIOS)
+    samples.add_to(bench)
     return bench
 
 
