@@ -63,9 +63,9 @@ class Samples:
         """Add all cases to a benchmark, and the ratios of its `BARS` whose cases were measured."""
         for name in self.names:
             bench.case(name, self.of(name))
-        for name, case, base, bar in BARS.get(bench.name, ()):
+        for name, case, base, bar, *percent in BARS.get(bench.name, ()):
             if {case, base} <= self._rounds.keys():
-                bench.ratio(name, self.ratio(case, base), bar)
+                bench.ratio(name, self.ratio(case, base, *percent), bar)
 
     @property
     def names(self) -> list[str]:
@@ -76,11 +76,11 @@ class Samples:
         """Return all samples of a case."""
         return np.concatenate(self._rounds[name])
 
-    def ratio(self, one: str, other: str, *, percent: float = 50.0) -> float:
+    def ratio(self, one: str, other: str, percent: float = 50.0) -> float:
         """Return the median over the rounds of the ratio of two cases' percentiles."""
-        return float(np.median(self.ratios(one, other, percent=percent)))
+        return float(np.median(self.ratios(one, other, percent)))
 
-    def ratios(self, one: str, other: str, *, percent: float = 50.0) -> Float64:
+    def ratios(self, one: str, other: str, percent: float = 50.0) -> Float64:
         """Return the ratio of two cases' percentiles in each round, shape (rounds,)."""
         above, below = (
             np.array([np.percentile(samples, percent) for samples in self._rounds[name]])
