@@ -11,6 +11,7 @@ import numpy as np
 
 from unicon_base import AnyDict, AnyMapping, TextSink
 from unicon_base.arrays import Bool
+from unicon_base.located_yaml import read_yaml
 from unicon_core import __version__
 from unicon_core.check.subject import listed
 from unicon_core.drawing import drawings
@@ -36,21 +37,7 @@ STEPS = 3
 """Of the divergence, in the headline."""
 
 # Figure of a joint to heading and unit in the table; the JSON has all of them.
-_COLUMNS = {
-    "gap": "gap\nrad",
-    "position_rmse": "RMSE of position\nrad",
-    "position_bias": "mean difference\nrad",
-    "tracking_rms_real": "tracking error, real\nrad",
-    "tracking_rms_sim": "tracking error, simulated\nrad",
-    "lag_s": "lag\nms",
-    "gain": "gain",
-    "correlation": "correlation",
-    "spectral_distance": "spectral distance\n0 to 1",
-    "effort_ratio": "torque RMS, real ÷ simulated",
-    "strength": "torque for what is asked, real ÷ simulated",
-    "temperature_rise_real": "warming, real\nK",
-    "temperature_rise_sim": "warming, simulated\nK",
-}
+_COLUMNS: dict[str, str] = read_yaml(Path(__file__).with_suffix(".yaml")).value
 
 
 def write_report(

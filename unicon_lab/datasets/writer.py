@@ -65,18 +65,8 @@ class Files:
         return self._path.stat().st_size if self._path.exists() else 0
 
 
-def task_index() -> AnyDict:
-    """Return what lets pandas take the tasks for the index of their numbers."""
-    column = {"name": None, "field_name": "__index_level_0__", "metadata": None}
-    number = {"name": "task_index", "field_name": "task_index", "metadata": None}
-    return {
-        "index_columns": ["__index_level_0__"],
-        "column_indexes": [],
-        "columns": [
-            {**number, "pandas_type": "int64", "numpy_type": "int64"},
-            {**column, "pandas_type": "unicode", "numpy_type": "object"},
-        ],
-    }
+TASK_INDEX = Path(__file__).with_name("task_index.json")
+"""What lets pandas take the tasks for the index of their numbers."""
 
 
 def write_json(path: Path, content: AnyMapping) -> None:
@@ -196,7 +186,7 @@ class DatasetWriter:
         arrow.parquet.write_table(arrow.Table.from_pylist(self._rows), episodes)
         tasks = arrow.table(
             {"task_index": [*self._tasks.values()], "__index_level_0__": [*self._tasks]},
-            metadata={"pandas": json.dumps(task_index())},
+            metadata={"pandas": TASK_INDEX.read_text("utf-8")},
         )
         arrow.parquet.write_table(tasks, self._root / "meta/tasks.parquet")
         found = joined(self._statistics)

@@ -13,13 +13,7 @@ from unicon_core.drawing import COLOURS, INK, Curve, Lines, Panel, Pictures, dra
 from unicon_core.page import Html, answers, findings, link, page, pairs, table, write_file
 from unicon_lab.report import ANSWERING, words
 from unicon_lab.sweep.results import wilson
-from unicon_lab.transfer.results import COLUMNS, OUTCOMES, cell, heads, row
-
-_WORDS = {
-    "runs": "how many of the runs that were asked for have come to an end",
-    "falls": "runs in which the base leaned by more than 0.8 rad for 0.1 s, or 60° at all",
-    "outcome": "the worst that became of a run",
-}
+from unicon_lab.transfer.results import BESIDE, COLUMNS, OUTCOMES, cell, heads, row
 
 
 def write_report(result: AnyMapping, folder: Path) -> Path:
@@ -101,7 +95,7 @@ def _said(result: AnyMapping) -> str:
 
 
 def _legend(result: AnyMapping) -> str:
-    words = {name: f"[{unit}] {what}" for name, unit, what in COLUMNS.values()} | _WORDS
+    words = {name: f"[{unit}] {what}" for name, unit, what in COLUMNS.values()} | BESIDE
     if len(result["seeds"]) > 1:
         words["±"] = "standard deviation over seeds (n − 1)"
     words["–"] = "there is no such figure"

@@ -194,6 +194,8 @@ def spread(values: Iterable[float | None]) -> dict[str, float | int | None]:
 
 
 COLUMNS: dict[str, list[str]] = _TABLES["columns"]
+BESIDE: dict[str, str] = _TABLES["beside"]
+"""Heading and meaning of the columns beside those of `COLUMNS`."""
 """Figure to heading, unit and meaning."""
 
 FACTORS = {"distance_share": 100.0}
