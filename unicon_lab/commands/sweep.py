@@ -66,7 +66,10 @@ def _run(arguments: argparse.Namespace, gates: list[Gate]) -> int:
     wish = Wish(engine, arguments.workers, arguments.batch, arguments.address)
     for gate in gates:
         gate.check([each.path for each in sweep.parameters])
-    wish.check(sweep)
+    if sweep.keep and engine == "ray":  # rows run on other machines
+        raise UniconError(
+            f"{sweep.path}: keep is of engine local or batch; take it out, or --engine local"
+        )
     plan = Plan(sweep)
     program = _checked(plan, arguments.force)
     if arguments.dry:

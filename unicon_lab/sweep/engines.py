@@ -22,7 +22,6 @@ from unicon_lab.sweep.folder import locked
 from unicon_lab.sweep.on_ray.shipment import files_of, manifest, pack
 from unicon_lab.sweep.plan import Plan, Row
 from unicon_lab.sweep.pool import LOOK, ONE_THREAD, PipedProcess, Pool, PoolWorker, Result
-from unicon_lab.sweep.sweep_file import SweepFile
 from unicon_ros.process_exit import LOG_BYTES, last_log_line
 
 JOIN_S, START_S = 60.0, 120.0
@@ -276,17 +275,6 @@ class Wish:
             )
         if self.address and self.engine != "ray":
             raise UniconError("--address is of a Ray cluster; add --engine ray")
-
-    def check(self, sweep: SweepFile) -> None:
-        """Say before the work what the engine cannot do for a sweep.
-
-        Raises:
-            UniconError: states are to be kept, and rows run on other machines.
-        """
-        if sweep.keep and self.engine == "ray":
-            raise UniconError(
-                f"{sweep.path}: keep is of engine local or batch; take it out, or --engine local"
-            )
 
 
 def engine_of(plan: Plan, wish: Wish, left: int, folder: Path) -> LocalEngine | RayEngine:
