@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import fields
 from pathlib import Path
 
 from unicon_base import UniconError
@@ -63,16 +64,7 @@ def _export_dataset(arguments: argparse.Namespace) -> int:
         raise UniconError("--moment goes without --lerobot: a data set has what was sent")
     if arguments.fps < 0:
         raise UniconError(f"--fps {arguments.fps}: give 1 or more frames a second")
-    wanted = Wanted(
-        arguments.fps,
-        arguments.task,
-        arguments.states,
-        arguments.actions,
-        arguments.cameras,
-        arguments.phases,
-        not arguments.no_video,
-        arguments.writer,
-    )
+    wanted = Wanted(**{each.name: getattr(arguments, each.name) for each in fields(Wanted)})
     print("\n".join(export_dataset(arguments.paths, arguments.out, wanted)))
     return 0
 
@@ -153,7 +145,12 @@ add = several(
             ),
             argument("--cameras", "NAME", "pictures of these alone (default: all)", nargs="*"),
             argument("--phases", "PHASE", "whose ticks (default: run)", nargs="+", default=["run"]),
-            flag("--no-video", "pictures in the Parquet files, as PNG or JPEG"),
+            option(
+                "--no-video",
+                action="store_false",
+                dest="video",
+                help="pictures in the Parquet files, as PNG or JPEG",
+            ),
             option(
                 "--writer",
                 default="auto",

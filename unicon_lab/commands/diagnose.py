@@ -39,7 +39,7 @@ from unicon_ros.cli.options import (
 
 if TYPE_CHECKING:
     from unicon_core.drawing import Panel
-    from unicon_lab.diagnose import Cause, Diagnosis, Shown
+    from unicon_lab.diagnose import Diagnosis, Shown
     from unicon_lab.recording import Record
 
 
@@ -106,9 +106,8 @@ def _page(record: Record, path: Path, out: Path, found: Diagnosis) -> str:
     """Return the page: what was found, each cause with its evidence as a drawing."""
     from unicon_core.drawing import Lines, drawings
 
-    rows = [_row(number, cause) for number, cause in enumerate(found.causes, 1)]
     parts = [_answers(record, path, out, found)]
-    parts += [table(_HEADS, rows, words=True)] if rows else []
+    parts += [table(_HEADS, _rows(found), words=True)] if found.causes else []
     for number, cause in enumerate(found.causes, 1):
         said = [f"{number}. {cause.name}", cause.evidence]
         said += [f"The record does not tell it from {', '.join(cause.alike)}."] * bool(cause.alike)
@@ -160,8 +159,7 @@ def _print(name: str, found: Diagnosis) -> None:
         ended = "explains more of the record than noise does" if found.complete else "is known yet"
         print(f"nothing found: no cause {ended} ({found.windows} windows)")
     else:
-        rows = [_row(number, cause) for number, cause in enumerate(found.causes, 1)]
-        print_table([_HEADS, *rows], underlined=True)
+        print_table([_HEADS, *_rows(found)], underlined=True)
     for number, cause in enumerate(found.causes, 1):
         print(f"{number}. {cause.evidence}")
         if cause.alike:
@@ -181,8 +179,11 @@ def _motion(text: str, name: str) -> str:
     return wanted if text in MOTIONS else text
 
 
-def _row(number: int, cause: Cause) -> tuple[str, ...]:
-    return str(number), cause.name, f"{cause.probability:.0%}", *cause.figures()
+def _rows(found: Diagnosis) -> list[tuple[str, ...]]:
+    return [
+        (str(number), cause.name, f"{cause.probability:.0%}", *cause.figures())
+        for number, cause in enumerate(found.causes, 1)
+    ]
 
 
 def _excite(arguments: argparse.Namespace) -> int:

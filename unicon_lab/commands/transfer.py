@@ -26,7 +26,7 @@ BAR = 24
 EVERY = 0.2
 """Time in [s] between two looks of it."""
 JSON = "transfer.json"
-BAD = ("crashed", "timeout", "fault")
+BAD = {"crashed", "timeout", "fault"}
 """Outcomes of which the exit status tells."""
 
 
@@ -100,8 +100,7 @@ def _run(plan: Plan, folder: Path, out: Path | None) -> int:
 
         print(f"\nreport  {write_report(result, folder)}")
     SIGNALS.check()
-    outcomes = [each["outcome"] for each in result["platforms"]]
-    if any(outcome in BAD for outcome in outcomes):
+    if not BAD.isdisjoint(each["outcome"] for each in result["platforms"]):
         return 3
     return 0 if any(each["runs_done"] for each in result["platforms"]) else 1
 

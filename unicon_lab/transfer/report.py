@@ -67,9 +67,13 @@ def _answers(result: AnyMapping, tracks: Tracks) -> str:
         for p in result["platforms"]
         for low, high in [wilson(p["falls"], p["runs_done"])]
     )
-    ran = [[r for r in p["runs"] if r["outcome"] == "ran"] for p in result["platforms"]]
-    files = [link(runs[0]["file"], "") for runs in ran if runs]
+    files = [link(run["file"], "") for p in result["platforms"] if (run := _first_run(p))]
     return answers(joint, when, fast, fell, asked, Html(", ".join(files) or "no run"))
+
+
+def _first_run(platform: AnyMapping) -> AnyMapping | None:
+    """Return a platform's first run that came to its end, if any."""
+    return next((run for run in platform["runs"] if run["outcome"] == "ran"), None)
 
 
 def _said(result: AnyMapping) -> str:
@@ -121,7 +125,7 @@ def _engines(result: AnyMapping) -> str:
     """Return what each platform tells of itself, and what it cannot represent."""
     facts: dict[str, str] = {}
     for platform in result["platforms"]:
-        run = next((run for run in platform["runs"] if run["outcome"] == "ran"), None)
+        run = _first_run(platform)
         if run is None:
             continue
         versions = ", ".join(f"{name} {number}" for name, number in run["versions"].items())
@@ -145,7 +149,7 @@ def tracks_of(result: AnyMapping, folder: Path) -> dict[str, dict[str, Array]]:
     """Read the states of each platform's first run."""
     tracks = {}
     for platform in result["platforms"]:
-        run = next((run for run in platform["runs"] if run["outcome"] == "ran"), None)
+        run = _first_run(platform)
         if run is None or run["finite_rows"] < 2:
             continue
         with np.load(folder / run["file"]) as archive:
