@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from itertools import count
 from typing import Any
 
@@ -62,9 +63,9 @@ def run(rounds: int = 9) -> Bench:
     executor.add_node(other)
     message = compat.message_class(JOINT_STATE)
     other.create_subscription(message, "bench/silent", lambda m: None, 1)
-    desk = Desk(node, executor)
+    desk = Desk(node)
     try:
-        _measure(bench, desk)
+        _measure(bench, desk, partial(executor.spin_once, 0.0))
     finally:
         desk.close()
         executor.shutdown()
@@ -74,7 +75,7 @@ def run(rounds: int = 9) -> Bench:
     return bench
 
 
-def _measure(bench: Bench, desk: Desk) -> None:
+def _measure(bench: Bench, desk: Desk, spin: Step) -> None:
     sends = {
         f"send {name}: {who}": step
         for name, topic in (("JointState", "joint_states"), ("Imu", "imu/data"), ("Odom", "odom"))
@@ -82,7 +83,7 @@ def _measure(bench: Bench, desk: Desk) -> None:
     }
     for joints in (12, 64):  # which `send_growth` compares
         sends[f"send JointState, {joints} joints"] = desk.senders("joint_states", joints)["ours"]
-    looks = {"empty poll: ours": desk.poller(), "empty poll: spin_once(0)": desk.spin}
+    looks = {"empty poll: ours": desk.poller(), "empty poll: spin_once(0)": spin}
     receive = desk.receivers()
     times = Samples()
     for each in (Samples(), *[times] * bench.rounds):  # the first warms up
@@ -111,8 +112,8 @@ def _take_received(times: Samples, cases: dict[str, Received]) -> None:
 class Desk:
     """Makes the topics that are compared, and takes them down."""
 
-    def __init__(self, node: Any, executor: Any) -> None:
-        self._node, self._executor = node, executor
+    def __init__(self, node: Any) -> None:
+        self._node = node
         self._group = compat.polled_group()
         self._opened = ExitStack()
         self._numbers = count()
@@ -120,10 +121,6 @@ class Desk:
     def close(self) -> None:
         """Take all topics down."""
         self._opened.close()
-
-    def spin(self) -> None:
-        """Look for work as plain nodes do."""
-        self._executor.spin_once(0.0)
 
     def senders(self, topic: str, joints: int) -> dict[str, Step]:
         """Return `ours` and `new message` of a topic of the default map."""

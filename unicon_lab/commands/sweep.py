@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from unicon_lab.sweep.results import Results
     from unicon_lab.sweep.sweep_file import Gate
 
-REPORT, COMPARE = "report", "compare"
 MOST_WORKERS = 1024
 EVERY = 0.5
 """Time in [s] between two status lines."""
@@ -39,9 +38,9 @@ def _sweep(arguments: argparse.Namespace) -> int:
     from unicon_lab.sweep.sweep_file import read_gate
 
     what, gates = arguments.what, [read_gate(text) for text in arguments.gate]
-    if what[0] == REPORT and len(what) == 2:
+    if what[0] == "report" and len(what) == 2:
         return _ended(Results(Path(what[1])), gates)
-    if what[0] == COMPARE and len(what) == 3:
+    if what[0] == "compare" and len(what) == 3:
         from unicon_lab.sweep.report import comparison
 
         print(comparison(Results(Path(what[1])), Results(Path(what[2]))))

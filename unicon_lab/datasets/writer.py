@@ -51,7 +51,9 @@ class Files:
 
     def next_path(self) -> tuple[Path, AnyDict]:
         """Return the file for the next episode, and its place for `meta/episodes`."""
-        self.began = self._number < 0 or self._size() >= self._largest
+        # An encoder looks far ahead before it writes its first byte.
+        there = self._number >= 0 and self._path.exists()
+        self.began = self._number < 0 or (there and self._path.stat().st_size >= self._largest)
         self._number += self.began
         chunk, file = divmod(self._number, CHUNK)
         place = {"chunk_index": chunk, "file_index": file}
@@ -59,10 +61,6 @@ class Files:
             self._path = self._root / self._pattern.format(**place)
             self._path.parent.mkdir(parents=True, exist_ok=True)
         return self._path, place
-
-    def _size(self) -> int:
-        # An encoder looks far ahead before it writes its first byte.
-        return self._path.stat().st_size if self._path.exists() else 0
 
 
 TASK_INDEX = Path(__file__).with_name("task_index.json")

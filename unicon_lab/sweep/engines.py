@@ -22,7 +22,7 @@ from unicon_lab.sweep.folder import locked
 from unicon_lab.sweep.on_ray.shipment import files_of, manifest, pack
 from unicon_lab.sweep.plan import Plan, Row
 from unicon_lab.sweep.pool import LOOK, ONE_THREAD, PipedProcess, Pool, PoolWorker, Result
-from unicon_ros.process_exit import LOG_BYTES, last_log_line
+from unicon_ros.process_exit import last_log_line
 
 JOIN_S, START_S = 60.0, 120.0
 """Wall time in [s] until a cluster takes us (1 s on two nodes), and until our own is up (5 s)."""
@@ -351,9 +351,7 @@ class _Worker(PoolWorker):
         """Return why it is of no use any more, "" while it is."""
         if self.process.over:
             return "ended"
-        if self.process.log.stat().st_size > LOG_BYTES:
-            return f"printed more than {LOG_BYTES // 1_000_000} MB"
-        return self.late(timeout)
+        return self.process.flooded() or self.late(timeout)
 
     def end(self, why: str) -> str:
         """End it; return why it did, in words."""

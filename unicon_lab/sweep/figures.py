@@ -273,10 +273,8 @@ class Figures:
     def __call__(self, rollout: Rollout) -> AnyDict:
         """Return the row of a rollout, but for the program's hash."""
         every = {name: rollout.states[:, place] for name, place in self._columns.items()}
-        states = every
-        if not np.isfinite(rollout.states).all():
-            count = finite_rows(every)
-            states = {name: values[:count] for name, values in every.items()}
+        count = finite_rows(every)
+        states = {name: values[:count] for name, values in every.items()}
         row = empty_row() | {
             "outcome": {"looked": "fell"}.get(rollout.ended, rollout.ended),
             "fault": bool(rollout.fault),

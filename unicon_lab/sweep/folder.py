@@ -77,8 +77,7 @@ class Folder:
             left = set(range(len(plan))) - in_shards
             self._pending = {i: r for i, r in self._pending.items() if i in left}
             self.done = in_shards | set(self._pending)
-            last = [int(name.stem.rpartition("-")[2]) for name in shard_names(path)[-1:]]
-            self._numbers = last[0] + 1 if last else 0
+            self._numbers = max((int(name.stem[-4:]) + 1 for name in shard_names(path)), default=0)
             self._journal = self._opened()
         except BaseException:
             self._lock.close()

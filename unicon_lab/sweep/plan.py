@@ -93,7 +93,7 @@ class Plan:
         return self.sweep.rows
 
     def __iter__(self) -> Iterator[Row]:
-        return (self.row(i) for i in range(len(self)))
+        return map(self.row, range(len(self)))
 
     def row(self, index: int) -> Row:
         """Return row `index`."""

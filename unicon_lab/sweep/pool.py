@@ -24,7 +24,7 @@ from unicon_base.resources import same_modules
 from unicon_core.signals import SIGNALS, signal_name
 from unicon_lab.sweep.figures import empty_row
 from unicon_lab.sweep.plan import Row
-from unicon_ros.process_exit import die_with_parent, last_log_line
+from unicon_ros.process_exit import LOG_BYTES, die_with_parent, last_log_line
 
 
 @dataclass(frozen=True)
@@ -283,6 +283,11 @@ class PipedProcess(Line):
         """Yield the next message, once there is one; nothing at its end."""
         if told := self.read():
             yield told
+
+    def flooded(self) -> str:
+        """Return that it printed more than a log may have, "" while it did not."""
+        flood = self.log.stat().st_size > LOG_BYTES
+        return f"printed more than {LOG_BYTES // 1_000_000} MB" if flood else ""
 
     def end(self, patience: float = 0.0, *, ask: bool = False) -> str:
         """End it; return how it did, in words.

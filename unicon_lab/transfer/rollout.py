@@ -37,7 +37,6 @@ from unicon_lab.sweep.figures import columns_of, finite_rows
 from unicon_lab.sweep.plan import Row, one_robots_seed
 from unicon_lab.sweep.pool import LOOK, PipedProcess
 from unicon_lab.sweep.worker import RowRunner, Tell, WarmProgram, serve
-from unicon_ros.process_exit import LOG_BYTES
 
 SEEDS = 3
 WITHOUT_PHYSICS = ("fake", "replay")
@@ -385,8 +384,7 @@ def _watched(process: PipedProcess, timeout: float, tell: Progress) -> AnyDict:
         if time.monotonic() > end:
             text = f"no end within {timeout:g} s; it was ended (--timeout S)"
             return {"outcome": "timeout", "text": text}
-        if process.log.stat().st_size > LOG_BYTES:
-            text = f"printed more than {LOG_BYTES // 1_000_000} MB"
+        if text := process.flooded():
             return {"outcome": "crashed", "text": text}
     return {}
 
