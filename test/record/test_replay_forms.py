@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from unicon_lab.recording import open_record
 from unicon_lab.recording.info import info_of, info_text
 from unicon_lab.replay import verify, workflow_of
 from unicon_lab.replay.platform import TARGET, ReplayPlatform
-from unicon_lab.replay.player import LEFT, RIGHT, Keys, play
+from unicon_lab.replay.player import LEFT, RIGHT, play, press
 from unicon_lab.replay.workflow import others, versions
 from unicon_ros.cli.main import main
 
@@ -194,14 +195,14 @@ def test_keys_pause_seek_and_step() -> None:
             return lambda: done.append(name)
 
     controls = Controls()
-    keys = Keys(controls, done.append, 250)  # type: ignore[arg-type]
+    take = partial(press, controls, done.append, 250)
     for pressed in (b" ", RIGHT, b"x", b"r", b"q"):
-        keys.press(pressed)
+        take(pressed)
     assert done == ["pause", 250, "reset", "stop"]
     controls.paused = True
     done.clear()
     for pressed in (LEFT, b"s", b" "):
-        keys.press(pressed)
+        take(pressed)
     assert done == [-250, "step", "step", "start"]
 
 

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,15 +35,27 @@ LOOK = 0.2
 """How long a key is waited for before the end is looked for, in [s]."""
 
 
-@contextmanager
-def _keys(controls: Controls, seek: Callable[[int], object], ticks: int) -> Iterator[None]:
-    """Do in a thread what keys say; the terminal is then as it was.
+def press(controls: Controls, seek: Callable[[int], object], ticks: int, pressed: bytes) -> None:
+    """Do what a key says.
 
     Args:
         controls: of the run.
         seek: goes on by so many ticks.
         ticks: of an arrow.
+        pressed: as the terminal sends it.
     """
+    if pressed in (RIGHT, LEFT):
+        seek(ticks if pressed == RIGHT else -ticks)
+        pressed = b"s" if controls.paused else b""
+    pause = controls.start if controls.paused else controls.pause
+    does = {b" ": pause, b"s": controls.step, b"r": controls.reset, b"q": controls.stop}
+    if pressed in does:
+        does[pressed]()
+
+
+@contextmanager
+def _keys(take: Callable[[bytes], None]) -> Iterator[None]:
+    """Let a thread take keys; the terminal is then as it was."""
     over = threading.Event()
 
     def read() -> None:
@@ -50,13 +63,7 @@ def _keys(controls: Controls, seek: Callable[[int], object], ticks: int) -> Iter
             pressed = read_keys(LOOK)
             if pressed is None:  # the terminal has gone
                 return
-            if pressed in (RIGHT, LEFT):
-                seek(ticks if pressed == RIGHT else -ticks)
-                pressed = b"s" if controls.paused else b""
-            pause = controls.start if controls.paused else controls.pause
-            does = {b" ": pause, b"s": controls.step, b"r": controls.reset, b"q": controls.stop}
-            if pressed in does:
-                does[pressed]()
+            take(pressed)
 
     thread = threading.Thread(target=read, name="keys", daemon=True)
     give_back = take_terminal()
@@ -119,8 +126,8 @@ def play(
         else:
             controls = Controls(time.sleep)
             controls.runner = runner
-        pressed = _keys(controls, platform.seek, round(SEEK / record.period))
-        with pressed if keys else nullcontext():
+        take = partial(press, controls, platform.seek, round(SEEK / record.period))
+        with _keys(take) if keys else nullcontext():
             return runner.run()
     finally:
         program.close()
