@@ -12,60 +12,22 @@ from pathlib import Path
 from typing import Any
 
 from unicon_base import AnyDict, PolicyError
-from unicon_base.located_yaml import Where
+from unicon_base.located_yaml import Where, read_yaml
 from unicon_base.resources import file_beside, find_resource
 from unicon_core.policies.hints import MotionSpec
 
-# Name of a term on the training side -> where its values come from. A plain `joint_pos` is relative
-# as a term of BeyondMimic, mjlab and holosoma, and absolute as a function of Isaac Lab and Unitree.
-_STATES = {
-    "base_ang_vel": "base_ang_vel ang_vel gyro",
-    "base_lin_vel": "base_lin_vel lin_vel linvel",
-    "projected_gravity": "projected_gravity gravity",
-    "velocity_command": "velocity_commands velocity_command command commands generated_commands",
-    "joint_pos": "joint_pos joint_pos_rel dof_pos",
-    "joint_vel": "joint_vel joint_vel_rel dof_vel",
-    "action": "actions last_action action",
-    "gait_phase": "gait_phase",
-    "height_scan": "height_scan",
-    "depth_image": "depth_image",
-    "rgb_image": "rgb_image",
-    "gait_phase_sin": "sin_phase",
-    "gait_phase_cos": "cos_phase",
-    "motion_phase": "motion_phase",
-    "motion_command": "motion_command",
-    "motion_anchor_ori_b": "motion_anchor_ori_b motion_ref_ori_b",
-    "motion_anchor_pos_b": "motion_anchor_pos_b motion_ref_pos_b",
+VOCABULARY: AnyDict = read_yaml(Path(__file__).with_name("vocabulary.yaml")).value
+"""How other deployments name facts, states and terms."""
+# Name of a term on the training side -> where its values come from.
+_TERMS: dict[str, AnyDict] = VOCABULARY["parts"] | {
+    name: {"state": state} for state, names in VOCABULARY["states"].items() for name in names
 }
-_TERMS: dict[str, AnyDict] = {
-    **{name: {"state": state} for state, names in _STATES.items() for name in names.split()},
-    "command_lin_vel": {"state": "velocity_command", "index": [0, 1]},
-    "command_ang_vel": {"state": "velocity_command", "index": [2]},
-}
-
 TO_GIVE = "?"
 """A factor or gain in a policy.yaml that an import wrote and nobody has filled in yet."""
-# Facts without which a policy cannot run, and what each is, for messages.
-_NEEDED = {
-    "period": "the control period in [s]",
-    "joints": "the joint names in policy order",
-    "default_joint_pos": "the default pose in [rad], policy order",
-    "stiffness": "in [N·m/rad], policy order",
-    "damping": "in [N·m·s/rad], policy order",
-    "action.scale": "in [rad], one number or one for each joint",
-    "observation.terms": "the terms of the network's input, in order",
-}
+_NEEDED = VOCABULARY["needed"]
+_ASKED = _NEEDED | VOCABULARY["asked"]
 GAINS = ("stiffness", "damping")
 _BY_JOINTS = ("default_joint_pos", *GAINS, "action.scale")
-_ASKED = {
-    **_NEEDED,
-    "observation.scale": "scale of each term, or under 'given' one factor for all",
-    "observation.layout": "term_major or frame_major",
-    "observation.newest": "last or first",
-    "phase": "the gait clock: period in [s], offsets in [rad]",
-    "inputs": "observation or a state -> input of the network",
-    "outputs": "action -> output of the network",
-}
 
 
 @dataclass

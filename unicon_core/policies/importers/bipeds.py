@@ -32,29 +32,14 @@ from pathlib import Path
 from typing import Any
 
 from unicon_base import AnyDict, AnyMapping, PolicyError
-from unicon_core.policies.facts import GAINS, Facts
+from unicon_core.policies.facts import GAINS, VOCABULARY, Facts
 from unicon_core.policies.importers.env_yaml import legged_gym_facts
 from unicon_core.policies.importers.source import RATE, Source
 from unicon_core.policies.networks.onnx_file import OnnxFile, read_onnx
 
-_LIMX = "PointfootCfg"
-_LIMX_FRAME = {
-    "ang_vel": "ang_vel", "gravity": "1", "joint_pos": "dof_pos", "joint_vel": "dof_vel",
-    "actions": "1",
-}  # fmt: skip
-_LIMX_DAMPING = {"wheel": "wheel_joint_damping", "ankle": "ankle_joint_damping"}
+_LIMX, _WORDS = "PointfootCfg", VOCABULARY["limx"]
 _STICK = 0.5  # what a LimX program gives at most
 _POINT_GAIT = (2.0, 0.5, 0.5, 0.1)  # of PointfootController.py
-# Term to the keys of its scale, "1" for 1; of the command, those of vx, vy and wz.
-_FRAME = {
-    "clock": "1",
-    "command": "",
-    "joint_pos": "dof_pos",
-    "joint_vel": "dof_vel",
-    "actions": "1",
-    "ang_vel": "ang_vel",
-    "euler": "quat",
-}
 
 
 def _say_frame(
@@ -73,11 +58,11 @@ def _say_frame(
         scales: what stands before the keys of the scales.
         keys: where highest value, number of frames and size of a frame stand.
         program: that lays out.
-        command: keys of its scale.
+        command: keys of its scale, those of vx, vy and wz.
     """
     clip, history, size = keys
     bound, frames = source.number(clip), source.whole(history)
-    frame = _FRAME | {"command": command}
+    frame = VOCABULARY["humanoid_gym"]["terms"] | {"command": command}
     terms = [
         {**source.term(*pair, scales, bound=bound), "history": frames} for pair in frame.items()
     ]
@@ -170,7 +155,7 @@ def limx_facts(source: Source) -> Facts:
     parts = [name.partition("_")[0] for name in names]
     wheels = [part == "wheel" for part in parts]
     position, kp = (source.number(f"control.{key}") for key in ("action_scale_pos", "stiffness"))
-    kd = [source.number(f"control.{_LIMX_DAMPING.get(part, 'damping')}") for part in parts]
+    kd = [source.number(f"control.{_WORDS['damping'].get(part, 'damping')}") for part in parts]
     facts.say("stiffness", [0.0 if wheel else kp for wheel in wheels], "control")
     facts.say("damping", kd, "control")
     scale = [d if wheel else position for d, wheel in zip(kd, wheels)]
@@ -218,7 +203,7 @@ def _limx_terms(source: Source, wheels: list[bool], gait: tuple[float, ...]) -> 
     actor = read_onnx(facts.model())
     encoder = read_onnx(actor.path.with_name("encoder.onnx"))
     seen = [i for i in range(count) if not wheels[i]]
-    frame = [source.term(*pair, "normalization.obs_scales.") for pair in _LIMX_FRAME.items()]
+    frame = [source.term(*pair, "normalization.obs_scales.") for pair in _WORDS["terms"].items()]
     if any(wheels):
         frame[2]["index"] = seen
     else:

@@ -20,15 +20,13 @@ import numpy as np
 from unicon_base import AnyDict, AnyMapping, PolicyError, alternatives
 from unicon_base.located_yaml import Where, read_yaml
 from unicon_base.schema.marks import NotEmpty, Write
-from unicon_core.policies.facts import GAINS, Facts, dig, term_state
+from unicon_core.policies.facts import GAINS, VOCABULARY, Facts, dig, term_state
 from unicon_core.policies.hints import Pair
 from unicon_core.policies.importers.source import Source, clip_before_scale
 
 _GROUP = Annotated[AnyMapping, NotEmpty, Write("a mapping of terms")]
 _FLAGS = ("scale_first", "use_gym_history")
 _KEYS = ("params", "scale", "clip", "history_length")
-_USUAL = ("base_ang_vel", "projected_gravity", "velocity_commands", "joint_pos_rel",
-          "joint_vel_rel", "last_action", "gait_phase")  # fmt: skip
 
 
 def deploy_yaml_facts(source: Source) -> Facts:
@@ -139,7 +137,7 @@ def _term(source: Source, where: Where, value: AnyMapping, scale_first: bool) ->
             term["clip"] = clip_before_scale(pair, term["scale"])
     term["history"] = value.get("history_length") or 1
     if not term_state(name):
-        known = alternatives(name, _USUAL)
+        known = alternatives(name, VOCABULARY["deploy_yaml"]["terms"])
         source.facts.notes.append(f"deploy.yaml: no state is known for term {name!r}; {known}")
     return term
 
@@ -148,22 +146,7 @@ def _is_term(value: Any) -> bool:
     return isinstance(value, Mapping) and any(key in value for key in _KEYS)
 
 
-_PHASE = "RoboMimic_Deploy/phase"
-# A term's name -> the key of its scale ("1": none), its number of elements, and that of each joint.
-_rl_TERMS = {
-    "lin_vel": ("lin_vel_scale", 3, 0),
-    "ang_vel": ("ang_vel_scale", 3, 0),
-    "gravity_vec": ("1", 3, 0),
-    "commands": ("commands_scale", 3, 0),
-    "dof_pos": ("dof_pos_scale", 0, 1),
-    "dof_vel": ("dof_vel_scale", 0, 1),
-    "actions": ("1", 0, 1),
-    "whole_body_tracking/motion_command": ("1", 0, 2),
-    "whole_body_tracking/motion_anchor_ori_b": ("1", 6, 0),
-    _PHASE: ("1", 1, 0),
-}
-_rl_STATES = {"gravity_vec": "projected_gravity", _PHASE: "motion_phase"}  # by no usual name
-_rl_GAINS = {"stiffness": "rl_kp", "damping": "rl_kd", "default_joint_pos": "default_dof_pos"}
+_RL_SAR, _RL_TERMS = VOCABULARY["rl_sar"], VOCABULARY["rl_sar"]["terms"]
 
 
 def refuse_base(source: Source) -> Facts:
@@ -227,7 +210,7 @@ def _rl_joints(source: Source, count: int) -> None:
     for name in ("period", "joints") if len(source.files) == 1 else ():
         if name not in facts.values:
             facts.asks[name] = "it stands in base.yaml, which is neither above nor beside it"
-    for fact, key in _rl_GAINS.items():
+    for fact, key in _RL_SAR["facts"].items():
         source.copy(fact, key, count, "num_of_dofs")
 
 
@@ -253,9 +236,9 @@ def _rl_observation(source: Source, count: int, wheels: list[int]) -> None:
     bound = None if document.get("clip_obs") is None else source.number("clip_obs")
     terms = [_rl_term(source, name, bound, count, wheels) for name in names]
     laid_out = document.get("num_observations")
-    if laid_out is not None and {*names} <= {*_rl_TERMS}:
-        sizes = (_rl_TERMS[name] for name in names)
-        if laid_out != (width := sum(size + each * count for _, size, each in sizes)):
+    if laid_out is not None and {*names} <= {*_RL_TERMS}:
+        sizes = (_RL_TERMS[name][2:] for name in names)
+        if laid_out != (width := sum(size + each * count for size, each in sizes)):
             raise source.wrong(
                 "num_observations",
                 f"num_observations is {laid_out!r}, and the terms {', '.join(names)} have {width} "
@@ -275,14 +258,13 @@ def _rl_observation(source: Source, count: int, wheels: list[int]) -> None:
 def _rl_term(
     source: Source, name: str, bound: float | None, count: int, wheels: list[int]
 ) -> AnyDict:
-    if name not in _rl_TERMS:
-        known = alternatives(name, _rl_TERMS)
+    if name not in _RL_TERMS:
+        known = alternatives(name, _RL_TERMS)
         source.facts.notes.append(
             f"{source.path.name}: no state is known for term {name!r}; {known}"
         )
         return {"name": name}
-    usual = _rl_STATES.get(name) or name.rpartition("/")[2]
-    term = source.term(usual, _rl_TERMS[name][0], bound=bound)
+    term = source.term(*_RL_TERMS[name][:2], bound=bound)
     if name == "dof_pos" and wheels:
         term["scale"] = [0.0 if i in wheels else term["scale"] for i in range(count)]
     return {**term, "name": name}
@@ -292,7 +274,8 @@ def _rl_motion(source: Source, count: int) -> None:
     """Note the motion of whole-body tracking: rows in the robot's order, compared at the torso."""
     file, names = map(source.document.get, ("motion_file", "joint_names"))
     period = source.facts.values.get("period")
-    if _PHASE in source.need("observations"):  # counted from 1, to a duration in fsm_g1.hpp
+    # Counted from 1, to a duration in fsm_g1.hpp.
+    if "RoboMimic_Deploy/phase" in source.need("observations"):
         start = f", start: {period:g}" if period else ""
         source.facts.asks["motion"] = f"{{duration: of the motion in [s]{start}}}"
     if file is None or not isinstance(names, list) or not period:

@@ -35,6 +35,7 @@ from unicon_base.schema.marks import NotEmpty
 from unicon_core.policies.facts import (
     GAINS,
     TO_GIVE,
+    VOCABULARY,
     Facts,
     dig,
     open_joints,
@@ -45,11 +46,6 @@ from unicon_core.policies.hints import listed
 from unicon_core.policies.importers.source import OF_JOINTS, Source, matches, values_by_pattern
 
 _GROUPS = ("policy", "actor")
-_LEGGED_GYM = {
-    "default_joint_pos": "init_state.default_joint_angles",
-    "stiffness": "control.stiffness",
-    "damping": "control.damping",
-}
 _SCAN, _SCAN_OFFSET = "height_scan", 0.5  # of the function, in [m], unless it says another
 
 
@@ -73,7 +69,7 @@ def legged_gym_facts(source: Source) -> Facts:
         facts.notes.append(f"{source.path.name}: scales for the terms to give: {text}")
     if (joints := source.joints()) is not None:
         facts.say("joints", joints)
-        for fact, place in _LEGGED_GYM.items():
+        for fact, place in VOCABULARY["legged_gym"]["facts"].items():
             whole = fact not in GAINS
             values = values_by_pattern(value_of(document, place), joints, whole=whole)
             if values is not None:
@@ -332,9 +328,6 @@ def _unread(document: AnyMapping, term: AnyMapping, function: str) -> str:
 
 
 WEIGHTS = "model.safetensors"
-_ROWS = {"act": "chunk_size", "diffusion": "n_action_steps"}
-# Features that the exporter of data sets names otherwise than their states.
-_STATES = {"state": "joint_pos", "velocity": "joint_vel", "effort": "joint_effort"}
 
 
 def lerobot_facts(source: Source) -> Facts:
@@ -346,8 +339,9 @@ def lerobot_facts(source: Source) -> Facts:
     """
     facts, kind = source.facts, str(source.document["type"])
     facts.source, facts.network = "LeRobot config.json", source.path.parent / WEIGHTS
-    if kind not in _ROWS:
-        raise source.wrong("type", f"type: policies that run are {alternatives(kind, _ROWS)}")
+    rows_of, states = VOCABULARY["lerobot"]["rows"], VOCABULARY["lerobot"]["states"]
+    if kind not in rows_of:
+        raise source.wrong("type", f"type: policies that run are {alternatives(kind, rows_of)}")
     moved = source.value(Annotated[list[int], NotEmpty], ("output_features", "action", "shape"))[0]
     names = source.joints(moved, f"the action in {source.path.name} moves {moved}")
     if names is None and source.robot is not None and source.robot.num_joints == moved:
@@ -369,11 +363,11 @@ def lerobot_facts(source: Source) -> Facts:
             continue
         term: AnyDict = {"name": name, "scale": 1.0, "history": frames}
         if name != "environment_state":
-            term["state"] = _STATES.get(name, name)
+            term["state"] = states.get(name, name)
         facts.values["observation"]["terms"].append(term)
     source.say("action", {"scale": 1.0, "offset": 0.0}, "output_features")
-    rows, steps = source.whole(_ROWS[kind]), source.whole("n_action_steps")
-    source.say("chunk", {"size": rows}, _ROWS[kind])
+    rows, steps = source.whole(rows_of[kind]), source.whole("n_action_steps")
+    source.say("chunk", {"size": rows}, rows_of[kind])
     if steps < rows and dig(source.given, "chunk", "steps") is None:
         source.say("chunk.steps", steps, "n_action_steps")
     if (weight := source.document.get("temporal_ensemble_coeff")) is not None:

@@ -34,7 +34,7 @@ from typing import Annotated, Any, TypeAlias
 from unicon_base import AnyDict, AnyMapping, PolicyError, one_line
 from unicon_base.located_yaml import Located, Where, read_text
 from unicon_base.schema.marks import Within
-from unicon_core.policies.facts import Facts, says
+from unicon_core.policies.facts import VOCABULARY, Facts, says
 from unicon_core.policies.importers.bipeds import agibot_facts, humanoid_gym_facts, limx_facts
 from unicon_core.policies.importers.deploy_yaml import deploy_yaml_facts, refuse_base, rl_sar_facts
 from unicon_core.policies.importers.env_yaml import env_yaml_facts, legged_gym_facts, lerobot_facts
@@ -45,38 +45,11 @@ from unicon_core.policies.networks.onnx_file import OnnxFile, short_text
 _PROGRAM = "its deploy program"
 _SLEW = 1.0  # of the command in [m/s²] and [rad/s²]: one period for each tick, in policy.py
 _STILL = 1e-5  # [m/s], [rad/s]: no command below it, in policy.py
-_BOOSTER = {"stiffness": "stiffness", "damping": "damping", "default_joint_pos": "default_qpos"}
-# Term to the keys of its scale under `policy.normalization`, in the order of policy.py.
-_BOOSTER_SCALES = {
-    "gravity": "gravity",
-    "ang_vel": "ang_vel",
-    "command": "lin_vel lin_vel ang_vel",
-    "cos_phase": "1",
-    "sin_phase": "1",
-    "dof_pos": "dof_pos",
-    "dof_vel": "dof_vel",
-    "actions": "1",
-}
+_BOOSTER, _UNITREE = VOCABULARY["booster"], VOCABULARY["unitree_rl_gym"]
 
 _PERIOD = 0.8  # of the clock in [s]; it stands in both programs
 _ROOT = "{LEGGED_GYM_ROOT_DIR}/"
 _LEGS, _REST = "leg_joint2motor_idx", "arm_waist_joint2motor_idx"
-# Fact to its key, and to the key of the joints that are held.
-_UNITREE = {
-    "stiffness": ("kps", "arm_waist_kps"),
-    "damping": ("kds", "arm_waist_kds"),
-    "default_joint_pos": ("default_angles", "arm_waist_target"),
-}
-# Term to the key of its scale, in the order of the programs.
-_UNITREE_SCALES = {
-    "ang_vel": "ang_vel_scale",
-    "gravity": "1",
-    "command": "cmd_scale",
-    "joint_pos": "dof_pos_scale",
-    "joint_vel": "dof_vel_scale",
-    "last_action": "1",
-    "phase": "1",
-}
 
 
 def booster_facts(source: Source) -> Facts:
@@ -91,7 +64,7 @@ def booster_facts(source: Source) -> Facts:
     source.say_period("common.dt", "policy.control.decimation")
     count = len(source.numbers(pose))
     moved = source.value(Annotated[int, Within(1, count)], "policy.num_actions")
-    for fact, key in _BOOSTER.items():
+    for fact, key in _BOOSTER["facts"].items():
         source.copy(fact, f"common.{key}", count, pose)
     robot = source.robot
     motors = range(count) if robot is None else sorted(motors_of(robot))
@@ -108,7 +81,7 @@ def booster_facts(source: Source) -> Facts:
     part = range(count - moved, count) if moved < count else range(0)
     if joints is not None and part:
         source.say("action.joints", joints[part.start :], "policy.num_actions")
-    scales = _BOOSTER_SCALES.items()
+    scales = _BOOSTER["terms"].items()
     terms = [source.term(*pair, "policy.normalization.", seen=part) for pair in scales]
     size, program = "policy.num_observations", "deploy/utils/policy.py lays out"
     source.say_terms(terms, size, 11 + 3 * moved, f"{program} for {moved} actions")
@@ -149,14 +122,14 @@ def unitree_rl_gym_facts(source: Source) -> Facts:
         if source.joints(count, what) is None:
             model = Path(str(document.get("xml_path", "its model"))).name
             facts.asks["joints"] = f"the {count} of {model}, in its order"
-    for fact, (key, held) in _UNITREE.items():
+    for fact, (key, held) in _UNITREE["facts"].items():
         more = source.numbers(held, len(rest)) if rest else []
         source.say(fact, source.numbers(key, count, "num_actions") + more, key)
     source.copy("action.scale", "action_scale", count, "num_actions")
     source.say("action.feedback", "raw", "action_scale")
     seen = range(count) if "joints" in facts.values["action"] else range(0)
-    terms = [source.term(*pair, seen=seen) for pair in _UNITREE_SCALES.items()]
-    for i, key in enumerate(_UNITREE_SCALES.values()):
+    terms = [source.term(*pair, seen=seen) for pair in _UNITREE["terms"].items()]
+    for i, key in enumerate(_UNITREE["terms"].values()):
         if (line := source.line(key)) is not None:
             facts.lines[("observation", "terms", i)] = line
     program = f"deploy_mujoco.py and deploy_real.py lay out for {count} actions"
@@ -200,26 +173,6 @@ _METADATA: dict[str, Callable[[OnnxFile], Facts]] = {
     "exploy_version": exploy_facts,
     "dof_names": holosoma_facts,
     "joint_names": mjlab_facts,
-}
-# What a key says, as the fact that settles it where it stands twice.
-_SAYS = {
-    "joint_names": "joints",
-    "dof_names": "joints",
-    "default_joint_pos": "default_joint_pos",
-    "joint_stiffness": "stiffness",
-    "kp": "stiffness",
-    "joint_damping": "damping",
-    "kd": "damping",
-    "action_scale": "action.scale",
-    "command_ranges": "command_ranges",
-    "update_rate": "period",
-    "observation_names": "observation.terms",
-    "observation_terms_scale": "observation.terms.*.scale",
-    "observation_terms_clip": "observation.terms.*.clip",
-    "observation_terms_history_length": "observation.terms.*.history",
-    "observation_history_lengths": "observation.terms.*.history",
-    "anchor_body_name": "motion.anchor_body",
-    "body_names": "motion.bodies",
 }
 _NAMES = {"joint_names": ",".join, "dof_names": json.dumps}
 # Keys of a configuration, with dots between nested ones, `*` for the only one -> its reader; the
@@ -272,7 +225,8 @@ def settled(
     for key, (first, *others) in values.items():
         if not others:
             continue
-        fact, both = _SAYS.get(key), f"{short_text(first)} and as {short_text(others[0])}"
+        fact = VOCABULARY["metadata"].get(key)
+        both = f"{short_text(first)} and as {short_text(others[0])}"
         text = f"metadata key {key!r} stands twice, as {both}"
         if fact is not None and (whole or says(said, fact)):
             notes.append(f"{onnx.path.name}: {text}; {fact} of {where} counts")

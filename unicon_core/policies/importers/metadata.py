@@ -31,51 +31,16 @@ from contextlib import suppress
 from typing import Any
 
 from unicon_base import AnyDict, PolicyError
-from unicon_core.policies.facts import GAINS, Facts, dig, term_state
+from unicon_core.policies.facts import GAINS, VOCABULARY, Facts, dig, term_state
 from unicon_core.policies.importers.source import OF_JOINTS, RENAMED_RANGES, plural
 from unicon_core.policies.networks.onnx_file import OnnxFile
 
-_VECTORS = {
-    "default_joint_pos": "default_joint_pos",
-    "stiffness": "joint_stiffness",
-    "damping": "joint_damping",
-    "action.scale": "action_scale",
-}
+_MJLAB, _HOLOSOMA = VOCABULARY["mjlab"], VOCABULARY["holosoma"]
 _HISTORIES = ("observation_terms_history_length", "observation_history_lengths")
 _ROUNDED = re.compile(r"(\s*-?\d+\.\d{3}\s*(,|$))+")
 _INPUTS = {"observation": "obs", "time_step": "time_step"}  # of a network with its motion
-# Outputs of a BeyondMimic network beside the actions: its reference motion at `time_step`.
-_MOTION_OUTPUTS = (
-    "joint_pos", "joint_vel", "body_pos_w", "body_quat_w", "body_lin_vel_w", "body_ang_vel_w",
-)  # fmt: skip
-
 _ANCHOR = "torso_link"
-_WBT = ("actions", "base_ang_vel", "dof_pos", "dof_vel", "motion_command", "motion_ref_ori_b")
-_REFERENCE = {
-    "action": "actions",
-    "motion_joint_pos": "joint_pos",
-    "motion_joint_vel": "joint_vel",
-    "motion_ref_quat_xyzw": "ref_quat_xyzw",
-}
-
-_WORD = r"[A-Za-z0-9_\-]+"
-_BASE_FIELDS = {
-    "pos_b_rt_w_in_w": "base_pos_w",
-    "w_Q_b": "base_quat",
-    "lin_vel_b_rt_w_in_b": "base_lin_vel",
-    "ang_vel_b_rt_w_in_b": "base_ang_vel",
-}
-# Pattern of an input to the state that it takes.
-_INPUT_STATES = {
-    rf"obj\.{_WORD}\.joints\.(pos|vel)": r"joint_\1",
-    **{
-        rf"(?:obj\.{_WORD}|sensor\.imu)\.{_WORD}\.{name}": state
-        for name, state in _BASE_FIELDS.items()
-    },
-    rf"cmd\.se2_velocity\.{_WORD}": "velocity_command",
-    r"ctx\.step_count": "time_step",
-}
-_OUTPUT = re.compile(rf"(output\.joint_targets\.{_WORD})\.(pos|vel|effort)")
+_OUTPUT = re.compile(r"(output\.joint_targets\.[A-Za-z0-9_\-]+)\.(pos|vel|effort)")
 _MEMORY = re.compile(r"memory\.(.*)\.in")
 
 
@@ -176,7 +141,8 @@ def mjlab_facts(onnx: OnnxFile) -> Facts:
     motion = anchor is not None or "time_step" in inputs
     if motion:
         facts.source = "BeyondMimic metadata"
-    reader.say_joints("joint_names", reader.words("joint_names"), _VECTORS, reader.numbers)
+    vectors = _MJLAB["facts"]
+    reader.say_joints("joint_names", reader.words("joint_names"), vectors, reader.numbers)
     terms: list[AnyDict] = []
     if "observation_names" in texts:
         terms = _terms(reader, motion)
@@ -185,7 +151,7 @@ def mjlab_facts(onnx: OnnxFile) -> Facts:
         layout = {"layout": "term_major", "newest": "last", "terms": terms}
         facts.values["observation"] = layout
     if motion and {*_INPUTS.values()} <= {*inputs} and "actions" in outputs:
-        reference = {f"motion_{name}": name for name in _MOTION_OUTPUTS if name in outputs}
+        reference = {f"motion_{name}": name for name in _MJLAB["motion"] if name in outputs}
         facts.values |= {"inputs": dict(_INPUTS), "outputs": {"action": "actions", **reference}}
         if anchor is not None and "motion_joint_vel" in reference:
             facts.say("motion.anchor_body", anchor.strip())
@@ -195,7 +161,7 @@ def mjlab_facts(onnx: OnnxFile) -> Facts:
             str(dig(t, "state")).startswith("motion_anchor") for t in terms
         ):
             facts.asks["motion"] = "anchor_body, by which robot and motion are compared"
-    rounded = [key for key in _VECTORS.values() if _ROUNDED.fullmatch(texts.get(key, ""))]
+    rounded = [key for key in vectors.values() if _ROUNDED.fullmatch(texts.get(key, ""))]
     if rounded:
         facts.tolerance = (1e-6, 5.1e-4)
         facts.notes.append(
@@ -239,8 +205,7 @@ def holosoma_facts(onnx: OnnxFile) -> Facts:
     reader = _Metadata(onnx, "holosoma metadata")
     metadata, facts = reader.decoded(), reader.facts
     joints = metadata["dof_names"]
-    gains = {"stiffness": "kp", "damping": "kd"}
-    reader.say_joints("dof_names", joints, gains, metadata.__getitem__)
+    reader.say_joints("dof_names", joints, _HOLOSOMA["facts"], metadata.__getitem__)
     ranges = metadata.get("command_ranges")
     if isinstance(ranges, dict):
         facts.values["command_ranges"] = {
@@ -249,20 +214,21 @@ def holosoma_facts(onnx: OnnxFile) -> Facts:
             if pair is not None
         }
     inputs = {tensor.name: tensor for tensor in onnx.inputs}
-    needed = {*_INPUTS.values(), *_REFERENCE.values()}
+    reference = _HOLOSOMA["outputs"]
+    needed = {*_INPUTS.values(), *reference.values()}
     if not needed <= {*inputs, *_names(onnx.outputs)}:
         return facts
     # What the program of whole-body tracking says of a network that gives the reference.
     facts.source = "holosoma whole-body tracking metadata"
     action = {"clip": [-100.0, 100.0], "feedback": "clipped"}
-    facts.values |= {"inputs": dict(_INPUTS), "outputs": {**_REFERENCE}, "action": action}
+    facts.values |= {"inputs": dict(_INPUTS), "outputs": {**reference}, "action": action}
     if f'name="{_ANCHOR}"' in str(metadata.get("robot_urdf", "")):
         facts.say("motion.anchor_body", _ANCHOR)
     else:
         facts.asks["motion"] = f"the body that is compared; robot_urdf has no {_ANCHOR}"
     size, laid_out = inputs["obs"].width, 5 * len(joints) + 9
     if size == laid_out:
-        terms = [{"name": name, **term_state(name), "scale": 1.0} for name in _WBT]
+        terms = [{"name": name, **term_state(name), "scale": 1.0} for name in _HOLOSOMA["terms"]]
         facts.say("observation.terms", terms, "its program's layout wbt")
     else:
         facts.asks["observation.terms"] = (
@@ -351,5 +317,6 @@ def _take_order(facts: Facts, orders: dict[str, list[str]], moved: list[str]) ->
 
 
 def _state(name: str) -> str | None:
-    found = ((re.fullmatch(pattern, name), state) for pattern, state in _INPUT_STATES.items())
+    patterns = VOCABULARY["exploy"]["inputs"].items()
+    found = ((re.fullmatch(pattern, name), state) for pattern, state in patterns)
     return next((match.expand(state) for match, state in found if match), None)
