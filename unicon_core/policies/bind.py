@@ -273,23 +273,21 @@ class Binding:
             )
 
     def _remedy(self, key: str) -> str:
-        ours = self.contract.source == "policy.yaml"
-        return (
-            f"correct {key} in {self.contract.path.name}" if ours else f"give {key} under 'given'"
-        )
+        if self.contract.source == "policy.yaml":
+            return f"correct {key} in {self.contract.path.name}"
+        return f"give {key} under 'given'"
 
     def _check_size(self, observation: Observation, tensor: Tensor) -> None:
         if tensor.dtype != "float32":
             raise self._fail(f"input {tensor} is not float32; export the network in float32")
         if tensor.takes(observation.size):
             return
-        start, parts = 0, []
+        stop, parts = 0, []
         for part in observation.slices:
             elements, history = part.elements.size, part.term.history
-            stop = start + elements * history
+            start, stop = stop, stop + elements * history
             times = f" = {elements} × {history}" if history > 1 else ""
             parts.append(f"{part.term.name} [{start}:{stop}]{times}")
-            start = stop
         contract, width = self.contract, int(tensor.width)
         counts = {len(each) for each in (self.joints, contract.joints, contract.action.joints)}
         why = explain_size(observation.slices, width, self.joints, counts)
@@ -322,14 +320,8 @@ class Binding:
         moved, chunk = len(self.contract.action.joints), self.contract.chunk
         action = output = np.zeros((self.rows, moved), np.float32)
         for canonical, name in self.contract.outputs.items():
-            tensor, values = self._tensor("output", name), action
-            if canonical == "action" and (extra := self.contract.action.extra) is not None:
-                values = np.zeros((self.rows, int(tensor.width)), np.float32)
-                more = values[:, action.shape[1] :]
-                rest = np.zeros(more.shape, np.float32)
-                self.split = (action, values[:, : action.shape[1]]), (rest, more)
-                self._publish(extra, rest)
-            elif canonical != "action":
+            tensor, shown = self._tensor("output", name), action
+            if canonical != "action":
                 if canonical not in self.states:
                     continue
                 width = self.states[canonical].size // self.rows
@@ -338,17 +330,22 @@ class Binding:
                         f"output {tensor} does not fill state {canonical!r} of {width} elements; "
                         "correct 'outputs'"
                     )
-                values = np.zeros((self.rows, width), np.float32)
-            elif chunk is not None:
-                shape = (1, chunk.size, moved)[-max(len(tensor.shape), 2) :]
-                if any(isinstance(a, int) and a != b for a, b in zip(tensor.shape, shape)):
-                    rows = f"{chunk.size} × {moved}; {self._remedy('chunk.size')}"
-                    raise self._fail(f"output {tensor} is no chunk of {rows}")
-                self.fetches[name] = output = np.zeros(shape, np.float32)
-                self._publish(canonical, action)
-                continue
-            self.fetches[name] = values
-            self._publish(canonical, action if canonical == "action" else values)
+                shown = written = np.zeros((self.rows, width), np.float32)
+            elif (extra := self.contract.action.extra) is not None:
+                written = np.zeros((self.rows, int(tensor.width)), np.float32)
+                rest = np.zeros_like(written[:, moved:])
+                self.split = (action, written[:, :moved]), (rest, written[:, moved:])
+                self._publish(extra, rest)
+            else:
+                if chunk is not None:
+                    shape = (1, chunk.size, moved)[-max(len(tensor.shape), 2) :]
+                    if any(isinstance(a, int) and a != b for a, b in zip(tensor.shape, shape)):
+                        rows = f"{chunk.size} × {moved}; {self._remedy('chunk.size')}"
+                        raise self._fail(f"output {tensor} is no chunk of {rows}")
+                    output = np.zeros(shape, np.float32)
+                written = output
+            self.fetches[name] = written
+            self._publish(canonical, shown)
         return action, output
 
     def _memory(self) -> list[tuple[Array, Array]]:
@@ -363,7 +360,7 @@ class Binding:
                     f"its memory {target} is of one robot and there are num_robots {self.rows}; "
                     "export it with a free first axis, or run one workflow for each robot"
                 )
-            shape = [axis if isinstance(axis, int) else 1 for axis in target.shape]
+            shape = [*target.fixed]
             if target.free_batch:
                 shape[0] = self.rows
             self.feeds[pair.input] = np.zeros(shape, target.dtype)
@@ -375,13 +372,12 @@ class Binding:
         tensors = {**self.tensors["input"], **self.tensors["output"]}
         used = [tensors[name] for name in (*self.feeds, *self.fetches)]
         flat = {tensor.name for tensor in used if len(tensor.shape) < 2}
+        fixed = [t for t in used if t.name not in flat and not t.free_batch]
         slices = [slice(None)]
-        if self.rows > 1 and (
-            flat or not all(t.free_batch or t.shape[0] == self.rows for t in used)
-        ):
+        if self.rows > 1 and (flat or any(t.shape[0] != self.rows for t in fixed)):
             slices = [slice(i, i + 1) for i in range(self.rows)]
-            for t in used:
-                if t.name not in flat and not t.free_batch and t.shape[0] != 1:
+            for t in fixed:
+                if t.shape[0] != 1:
                     raise self._fail(
                         f"{t} is for {t.shape[0]} robots at once and there are {self.rows}; "
                         "export it with a free batch axis"

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from math import prod
 
 from unicon_base import PolicyError
 from unicon_base.arrays import Array
@@ -29,12 +28,11 @@ from unicon_core.policies.phase import (
 from unicon_core.states import States, StateSpec, standard_states
 
 TIMES = {
-    "action_round_trip": StateSpec(
-        (), "float32", "s", "", (), "from the newest question to its answer, seen once a tick"
-    ),
-    "action_inference": StateSpec(
-        (), "float32", "s", "", (), "of that, time of the network by the server's clock"
-    ),
+    f"action_{name}": StateSpec(unit="s", description=text)
+    for name, text in (
+        ("round_trip", "from the newest question to its answer, seen once a tick"),
+        ("inference", "of that, time of the network by the server's clock"),
+    )
 }
 """States of a policy at a server that hold wall-clock times; no replay repeats them."""
 
@@ -74,15 +72,15 @@ def states_of(contract: PolicyContract) -> dict[str, StateSpec]:
     states |= derived_states(contract)
     if contract.child is not None:
         text = "since the observation of the action that is held"
-        states["action_age"] = StateSpec((), "float32", "s", "", (), text)
+        states["action_age"] = StateSpec(unit="s", description=text)
     if contract.chunk is not None:
-        rows = contract.chunk.size * len(joints)
-        text = "rows planned from the newest observation on, one after the other"
-        chunk = {
-            PREFIX: StateSpec((rows,), description=text),
-            DELAY: StateSpec((1,), description="rows that run until the network answers"),
-        }
-        states |= {name: spec for name, spec in chunk.items() if name in contract.inputs}
+        for name, size, text in (
+            (PREFIX, contract.chunk.size * len(joints), "rows planned from the newest observation "
+             "on, one after the other"),
+            (DELAY, 1, "rows that run until the network answers"),
+        ):  # fmt: skip
+            if name in contract.inputs:
+                states[name] = StateSpec((size,), description=text)
     if isinstance(contract.child, RemoteSpec):
         states |= TIMES
     if contract.command is not None:
@@ -103,23 +101,21 @@ def states_of(contract: PolicyContract) -> dict[str, StateSpec]:
         states |= image.states(name)
     if contract.motion is not None:
         states |= _followed(contract)
-    action = contract.action
-    if action.extra in {*states, *standard_states(("joint",)), "observation"}:
-        text = f"action.extra is {action.extra!r}, a state that is there; give another name"
+    extra, more = contract.action.extra, {**contract.outputs}
+    action = more.pop("action", "")
+    if extra in {*states, *standard_states(("joint",)), "observation"}:
+        text = f"action.extra is {extra!r}, a state that is there; give another name"
         raise PolicyError(f"policy {contract.name}: {text}")
-    if action.extra is not None and contract.is_onnx:
-        made = chained_outputs(contract).get(contract.outputs.get("action", ""))
-        if made is not None and isinstance(made.width, int):
-            size = max(made.width - len(action.joints), 1)
-            states[action.extra] = StateSpec((size,), description="further outputs")
-    more = {name: out for name, out in contract.outputs.items() if name != "action"}
-    if more and contract.is_onnx:
+    if contract.is_onnx and (extra is not None or more):
         tensors = chained_outputs(contract)
+        made = tensors.get(action)
+        if extra is not None and made is not None and isinstance(made.width, int):
+            size = max(made.width - len(joints), 1)
+            states[extra] = StateSpec((size,), description="further outputs")
         for name, output in more.items():
-            axes = tensors[output].row if output in tensors else ()
-            size = prod(axis if isinstance(axis, int) else 1 for axis in axes)
-            joints = contract.joints if name.startswith("motion_joint_") else ()
-            names = joints if len(joints) == size else ()
+            size = tensors[output].size if output in tensors else 1
+            names = contract.joints if name.startswith("motion_joint_") else ()
+            names = names if len(names) == size else ()
             states[name] = StateSpec((size,), names=names, description=f"output {output}")
     if contract.motion is None and {"motion_joint_pos", "motion_joint_vel"} <= {*states}:
         size = states["motion_joint_pos"].size + states["motion_joint_vel"].size
@@ -149,7 +145,7 @@ def _followed(contract: PolicyContract) -> dict[str, StateSpec]:
     )  # fmt: skip
     states = {
         "motion_command": _reference_command(2 * len(joints)),
-        "motion_time": StateSpec((), "float32", "s", "", (), "since the motion's first frame"),
+        "motion_time": StateSpec(unit="s", description="since the motion's first frame"),
         **{
             f"motion_{name}": StateSpec((len(names),), "float32", unit, frame, names, *more)
             for name, unit, frame, names, *more in rows

@@ -44,15 +44,18 @@ class Tensor:
         return self.shape[1:] if len(self.shape) > 1 else self.shape
 
     @property
+    def size(self) -> int:
+        """Number of values of one robot where free axes have length 1."""
+        return prod(axis for axis in self.row if isinstance(axis, int))
+
+    @property
     def width(self) -> int | str:
         """Number of values of one robot, or the name of a free axis."""
-        free = [axis for axis in self.row if isinstance(axis, str)]
-        return free[0] if free else prod(axis for axis in self.row if isinstance(axis, int))
+        return next((axis for axis in self.row if isinstance(axis, str)), self.size)
 
     def takes(self, size: int) -> bool:
         """Whether it takes this many values of one robot; one free axis takes what is left."""
-        fixed = prod(axis for axis in self.row if isinstance(axis, int))
-        free = sum(isinstance(axis, str) for axis in self.row)
+        fixed, free = self.size, sum(isinstance(axis, str) for axis in self.row)
         return size == fixed if free == 0 else free == 1 and fixed > 0 and size % fixed == 0
 
     def shaped(self, rows: Array) -> Array:
@@ -167,11 +170,10 @@ def read_onnx(path: Path) -> OnnxFile:
     try:
         return _model(path, memoryview(data))
     except (IndexError, ValueError, TypeError, AttributeError) as error:
+        text = "not an ONNX model, or cut off; copy it again"
         if is_lfs_pointer(path):
-            raise PolicyError(
-                f"{path}: a Git LFS pointer, not the model; run 'git lfs pull' there"
-            ) from error
-        raise PolicyError(f"{path}: not an ONNX model, or cut off; copy it again") from error
+            text = "a Git LFS pointer, not the model; run 'git lfs pull' there"
+        raise PolicyError(f"{path}: {text}") from error
 
 
 def _model(path: Path, data: memoryview) -> OnnxFile:
