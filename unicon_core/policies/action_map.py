@@ -225,28 +225,26 @@ class ActionMap:
         robot_from_policy = joint_index(contract.joints, robot.joint_names)
         robot_from_action = joint_index(action.joints, robot.joint_names)
         n, m = robot.num_joints, len(action.joints)
-        offset = robot.default_joint_pos.astype(np.float32)
-        offset[robot_from_policy] = contract.default_joint_pos
-        by_position = action.of_kind("position")
-        self.positions_only = bool(by_position.all())
-        offset[robot_from_action[by_position]] = action.offset[by_position]
-        self.stiffness = robot.joint_stiffness.astype(np.float32)
-        self.stiffness[robot_from_policy] = contract.stiffness
-        self.damping = robot.joint_damping.astype(np.float32)
-        self.damping[robot_from_policy] = contract.damping
-        for fact, array in (
-            ("default", offset),
-            ("stiffness", self.stiffness),
-            ("damping", self.damping),
+        held = []
+        for fact, own, said in (
+            ("default", robot.default_joint_pos, contract.default_joint_pos),
+            ("stiffness", robot.joint_stiffness, contract.stiffness),
+            ("damping", robot.joint_damping, contract.damping),
         ):
-            unknown = np.flatnonzero(np.isnan(array))
-            if unknown.size:
-                joint = robot.joint_names[int(unknown[0])]
+            array = own.astype(np.float32)
+            array[robot_from_policy] = said
+            if (unknown := np.isnan(array)).any():
+                joint = robot.joint_names[int(unknown.argmax())]
                 raise PolicyError(
                     f"policy {contract.name} does not move joint {joint!r}, and robot {robot.name} "
                     f"has no {fact} to hold it with; add 'joints.{fact}' to "
                     f"{robot.file_of(joint).name}"
                 )
+            held.append(array)
+        offset, self.stiffness, self.damping = held
+        by_position = action.of_kind("position")
+        self.positions_only = bool(by_position.all())
+        offset[robot_from_action[by_position]] = action.offset[by_position]
         # One gather covers all joints: held ones take action 0 with scale 0.
         index = np.zeros(n, np.intp)
         index[robot_from_action] = np.arange(m)

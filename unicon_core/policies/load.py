@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from unicon_base import AnyDict, AnyMapping, PolicyError, alternatives
-from unicon_base.located_yaml import Located, read_yaml
+from unicon_base.located_yaml import Located, Where, read_yaml
 from unicon_base.packages import path_of, registered
 from unicon_base.resources import (
     config_roots,
@@ -378,20 +378,19 @@ def _name_tensors(facts: Facts, onnx: OnnxFile) -> None:
 def _contract(facts: Facts) -> PolicyContract:
     """Build the contract, whose network is there and the one that it was written for."""
     contract = build_contract(facts)
-    key = "torchscript" if contract.is_torchscript else "onnx"
-    models = [
-        ((key,), ("sha256",), contract.model, contract.sha256),
-        *((p := ("networks", part.name), p, part.model, part.sha256) for part in contract.networks),
-    ]
-    for where, place, model, wanted in models:
+    for part in (contract, *contract.networks):
+        model, wanted = part.model, part.sha256
+        where: Where = ("networks", part.name)
+        if part is contract:
+            where = ("torchscript" if contract.is_torchscript else "onnx",)
         if not os.path.isfile(model):
             text = f"no such file {model}; put the network there or correct the path"
             raise facts.error(where, text)
-        if len(where) > 1 and (lost := read_onnx(model).lost_weights()):
+        if part is not contract and (lost := read_onnx(model).lost_weights()):
             raise facts.error(where, f"its weights {lost}")
         if wanted is not None and (digest := sha256_of(model)) != wanted:
             raise facts.error(
-                place,
+                ("sha256",) if part is contract else where,
                 f"{model.name} has sha256 {digest[:12]}… and not {wanted[:12]}…; it is not the "
                 "network that this contract was written for: import it again",
             )

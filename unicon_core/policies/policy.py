@@ -111,14 +111,12 @@ class Policy:
         self._computed = [np.zeros_like(target) for _ in range(3)]
         computed, velocity, torque = self._computed
         self.target = computed
-        smooth = self.action_map.filter
+        smooth, action = self.action_map.filter, self.lane.action
         if self.action_map.positions_only and smooth is None:
-            self._command = self.action_map.bind(self.lane.action, computed)
+            self._command = self.action_map.bind(action, computed)
         else:
             measured = states["joint_pos"].reshape(rows, n)
-            self._command = self.action_map.bind_all(
-                self.lane.action, computed, velocity, torque, measured
-            )
+            self._command = self.action_map.bind_all(action, *self._computed, measured)
         if smooth is not None:
             self.lane.behind(smooth)
         self._published = (
@@ -130,11 +128,11 @@ class Policy:
         )
         # A warm-up does these copies instead, which fetch both sides: what is behind the network
         # costs 17 µs when it is cold, as much as the network.
-        scratch = [np.zeros_like(view) for view, _ in self._published]
         self._discarded = tuple(
             (thrown, side)
-            for (view, values), thrown in zip(self._published, scratch)
-            for side in (view, values)
+            for pair in self._published
+            for thrown in [np.zeros_like(pair[0])]
+            for side in pair
         )
         self._actions = fed_back(contract, states)
         self.phase: GaitPhase | None = None
@@ -151,9 +149,8 @@ class Policy:
         self.endless = self.tracker is None or self.tracker.ticks is None
         self._motion = own_reference(contract, states)
         self._begun = False
-        self.reads, self.writes = reads_writes(
-            contract, states, self._before, self.tracker, targets
-        )
+        own = contract, states, self._before, self.tracker, targets
+        self.reads, self.writes = reads_writes(*own)
         self.holds = (f"{prefix}action",)
 
     def __call__(self, warm_up: bool = False) -> bool:
@@ -219,12 +216,9 @@ class Policy:
         for action in self._actions:
             action[...] = 0.0
         self._begun = False
-        if self.slew is not None:
-            self.slew.reset()
-        if self.phase is not None:
-            self.phase.reset()
-        if self.tracker is not None:
-            self.tracker.reset()
+        for part in (self.slew, self.phase, self.tracker):
+            if part is not None:
+                part.reset()
 
     def _reference(self) -> None:
         for part, source in self._motion:
@@ -240,7 +234,7 @@ class Policy:
                 )
         bad = np.argwhere(~np.isfinite(lane.obs))
         if lane.observation is not None and bad.size:
-            row, column = (int(i) for i in bad[0])
+            row, column = bad[0].tolist()
             place = lane.observation.place_of(column)
             return (
                 f"policy {self.name}: the observation is not finite: {place} is "
@@ -251,7 +245,7 @@ class Policy:
     def _blame_action(self) -> str:
         joints = self.contract.action.joints
         output = self.lane.output.reshape(-1, len(joints))
-        row, column = (int(i) for i in np.argwhere(~np.isfinite(output))[0])
+        row, column = np.argwhere(~np.isfinite(output))[0].tolist()
         of = self._of_robot(row) if self.contract.chunk is None else f" in row {row}"
         return (
             f"policy {self.name}: the action is not finite: joint {joints[column]!r} is "

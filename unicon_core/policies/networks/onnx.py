@@ -13,7 +13,7 @@ import numpy as np
 
 from unicon_base.arrays import Array
 from unicon_base.errors import MissingDependencyError, PolicyError, alternatives, imported, one_line
-from unicon_core.policies.contract import PolicyContract
+from unicon_core.policies.contract import NetworkPart, PolicyContract
 from unicon_core.policies.hints import Feed
 from unicon_core.policies.networks.onnx_file import Arrays, OnnxFile, Tensor, read_onnx
 
@@ -154,9 +154,9 @@ OBSERVATION = "observation"
 
 def chained_outputs(contract: PolicyContract) -> dict[str, Tensor]:
     """Return the outputs of all networks of a policy; those of earlier ones as `NAME.output`."""
-    tensors = _named("", read_onnx(contract.model).outputs)
-    for part in contract.networks:
-        tensors |= _named(part.name, read_onnx(part.model).outputs)
+    tensors: dict[str, Tensor] = {}
+    for part in (contract, *contract.networks):
+        tensors |= _named(_name(contract, part), read_onnx(part.model).outputs)
     return tensors
 
 
@@ -181,11 +181,10 @@ class ChainedNetworks:
 
     def __init__(self, contract: PolicyContract) -> None:
         self._name, provider, threads = contract.name, contract.provider, contract.threads
-        parts: list[tuple[str, Path, Mapping[str, tuple[Feed, ...]]]] = [
-            *((part.name, part.model, part.feeds) for part in contract.networks),
-            ("", contract.model, contract.feeds),
+        self._parts = [
+            (_name(contract, part), OnnxNetwork(part.model, provider, threads), part.feeds)
+            for part in (*contract.networks, contract)
         ]
-        self._parts = [(n, OnnxNetwork(path, provider, threads), feeds) for n, path, feeds in parts]
         made: dict[str, Tensor] = {}
         inputs: list[Tensor] = []
         self._width = 0
@@ -278,6 +277,10 @@ class ChainedNetworks:
                 step()
 
         return run
+
+
+def _name(contract: PolicyContract, part: NetworkPart | PolicyContract) -> str:
+    return "" if part is contract else part.name
 
 
 def _named(name: str, tensors: Iterable[Tensor]) -> dict[str, Tensor]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -45,22 +46,16 @@ class TorchNetwork:
             )
         self._torch = torch
         torch.set_num_threads(contract.threads)
+        failed = "torch cannot load it"
         try:
             self._module = torch.jit.load(str(contract.model), map_location="cpu").eval()
-        except (RuntimeError, ValueError) as error:
-            raise PolicyError(
-                f"{contract.model}: torch cannot load it: {one_line(error)[:200]}"
-            ) from error
-        self._label = f"policy {contract.name}"
-        if hasattr(self._module, "reset_memory"):  # exporters of recurrent policies have it
-            try:
+            if hasattr(self._module, "reset_memory"):  # exporters of recurrent policies have it
+                failed = "its reset_memory does not run without arguments"
                 with torch.inference_mode():
                     self._module.reset_memory()
-            except RuntimeError as error:
-                raise PolicyError(
-                    f"{contract.model}: its reset_memory does not run without arguments: "
-                    f"{one_line(error)[:200]}"
-                ) from error
+        except (RuntimeError, ValueError) as error:
+            raise PolicyError(f"{contract.model}: {failed}: {one_line(error)[:200]}") from error
+        self._label = f"policy {contract.name}"
         self._memory = TorchMemory(torch, self._module)
         self.inputs, self.outputs = (
             tuple(
@@ -142,19 +137,18 @@ class TorchMemory:
         weights = {parameter.data_ptr() for parameter in module.parameters()}
         with torch.inference_mode():
             for path, is_set in sorted(_written(module).items()):
-                owner = module
-                for part in path[:-1]:
-                    owner = getattr(owner, part)
+                owner = reduce(getattr, path[:-1], module)
                 value = getattr(owner, path[-1])
-                tensors = [value] if isinstance(value, torch.Tensor) else value
+                is_tensor = isinstance(value, torch.Tensor)
+                tensors = [value] if is_tensor else value
                 if isinstance(tensors, list) and tensors and _all_of(weights, tensors):
                     continue  # what only looks as if it were written: the graph cannot tell
                 self.names.append(".".join(path))
-                if is_set or not isinstance(value, torch.Tensor):
+                if is_set or not is_tensor:
                     self._set.append((owner, path[-1], copy.deepcopy(value)))
                 else:
                     self._in_place.append((value, value.clone(), value.clone()))
-            self._kept = [copy.deepcopy(value) for _, _, value in self._set]
+        self.reset()
 
     def __call__(self) -> None:
         self.run()
@@ -175,17 +169,18 @@ class TorchMemory:
 
     def commit(self) -> None:
         """Keep what the last call left."""
-        with self._torch.inference_mode():
-            for live, kept, _ in self._in_place:
-                kept.copy_(live)
-            self._kept = [copy.deepcopy(getattr(owner, name)) for owner, name, _ in self._set]
+        set_now = [getattr(owner, name) for owner, name, _ in self._set]
+        self._keep([live for live, _, _ in self._in_place], set_now)
 
     def reset(self) -> None:
         """Keep what was there at the beginning."""
+        self._keep([first for _, _, first in self._in_place], [first for _, _, first in self._set])
+
+    def _keep(self, in_place: list[Any], values: list[Any]) -> None:
         with self._torch.inference_mode():
-            for _, kept, initial in self._in_place:
-                kept.copy_(initial)
-            self._kept = [copy.deepcopy(value) for _, _, value in self._set]
+            for (_, kept, _), value in zip(self._in_place, in_place):
+                kept.copy_(value)
+            self._kept = [copy.deepcopy(value) for value in values]
 
     def save(self) -> Any:
         """Return what is kept, as arrays; `load` takes it back."""
@@ -203,10 +198,7 @@ class TorchMemory:
         def tensor(value: Any) -> Any:
             return torch.from_numpy(value.copy()) if isinstance(value, np.ndarray) else value
 
-        fixed, self._kept = _each(saved, tensor)
-        with torch.inference_mode():
-            for (_, kept, _), value in zip(self._in_place, fixed):
-                kept.copy_(value)
+        self._keep(*_each(saved, tensor))
 
 
 def _each(value: Any, change: Callable[[Any], Any]) -> Any:
