@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
-from unicon_base import PolicyError
+from unicon_base import AnyDict, PolicyError
 from unicon_base.arrays import Array
+from unicon_base.located_yaml import read_yaml
 from unicon_core.policies.chunks import DELAY, PREFIX, RemoteSpec
 from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.controller import PackedStates, PrefixedStates
@@ -27,13 +29,23 @@ from unicon_core.policies.phase import (
 )
 from unicon_core.states import States, StateSpec, standard_states
 
-TIMES = {
-    f"action_{name}": StateSpec(unit="s", description=text)
-    for name, text in (
-        ("round_trip", "from the newest question to its answer, seen once a tick"),
-        ("inference", "of that, time of the network by the server's clock"),
-    )
-}
+_ROWS: AnyDict = read_yaml(Path(__file__).with_name("states.yaml")).value
+
+
+def _state(name: str, names: Sequence[str] = (), size: int = 0) -> StateSpec:
+    """Return the row of a state as a specification, of so many elements as it has names.
+
+    Args:
+        name: of the state.
+        names: of its elements, unless the row says them.
+        size: number of elements without names; one number without an axis if neither is given.
+    """
+    row = {"names": names, **_ROWS[name]}
+    size = len(row["names"]) or size
+    return StateSpec.from_dict({"shape": [size] if size else [], **row})
+
+
+TIMES = {name: _state(name) for name in ("action_round_trip", "action_inference")}
 """States of a policy at a server that hold wall-clock times; no replay repeats them."""
 
 
@@ -67,20 +79,13 @@ def policy_states(
 def states_of(contract: PolicyContract) -> dict[str, StateSpec]:
     """Return the states of a policy without a prefix, but for `observation`."""
     joints = contract.action.joints
-    text = "the network's last output, policy order"
-    states = {"action": StateSpec((len(joints),), names=joints, description=text)}
-    states |= derived_states(contract)
+    states = {"action": _state("action", joints), **derived_states(contract)}
     if contract.child is not None:
-        text = "since the observation of the action that is held"
-        states["action_age"] = StateSpec(unit="s", description=text)
+        states["action_age"] = _state("action_age")
     if contract.chunk is not None:
-        for name, size, text in (
-            (PREFIX, contract.chunk.size * len(joints), "rows planned from the newest observation "
-             "on, one after the other"),
-            (DELAY, 1, "rows that run until the network answers"),
-        ):  # fmt: skip
+        for name, size in ((PREFIX, contract.chunk.size * len(joints)), (DELAY, 1)):
             if name in contract.inputs:
-                states[name] = StateSpec((size,), description=text)
+                states[name] = _state(name, size=size)
     if isinstance(contract.child, RemoteSpec):
         states |= TIMES
     if contract.command is not None:
@@ -89,18 +94,20 @@ def states_of(contract: PolicyContract) -> dict[str, StateSpec]:
     if contract.phase is not None:
         count = range(len(contract.phase.offsets))
         sines, cosines = (tuple(f"{what}_{k}" for k in count) for what in ("sin", "cos"))
-        for name, parts, text in (
-            ("gait_phase_sin", sines, "sines of the gait phases"),
-            ("gait_phase_cos", cosines, "cosines of the gait phases"),
-            ("gait_phase", sines + cosines, "all sines, then all cosines"),
-        ):
-            states[name] = StateSpec((len(parts),), names=parts, description=text)
+        for suffix, parts in (("_sin", sines), ("_cos", cosines), ("", sines + cosines)):
+            states[f"gait_phase{suffix}"] = _state(f"gait_phase{suffix}", parts)
     if contract.height_scan is not None:
         states[HEIGHT_SCAN] = contract.height_scan.state()
     for name, image in contract.images.items():
         states |= image.states(name)
     if contract.motion is not None:
-        states |= _followed(contract)
+        followed = [name for name in _ROWS if name.startswith("motion_")]
+        if contract.motion.duration is not None:
+            followed = ["motion_time", "motion_phase"]
+        for name in followed:
+            names = contract.joints if name.startswith("motion_joint_") else ()
+            size = 2 * len(contract.joints) if name == "motion_command" else 0
+            states[name] = _state(name, names, size)
     extra, more = contract.action.extra, {**contract.outputs}
     action = more.pop("action", "")
     if extra in {*states, *standard_states(("joint",)), "observation"}:
@@ -119,40 +126,7 @@ def states_of(contract: PolicyContract) -> dict[str, StateSpec]:
             states[name] = StateSpec((size,), names=names, description=f"output {output}")
     if contract.motion is None and {"motion_joint_pos", "motion_joint_vel"} <= {*states}:
         size = states["motion_joint_pos"].size + states["motion_joint_vel"].size
-        states["motion_command"] = _reference_command(size)
-    return states
-
-
-def _reference_command(size: int) -> StateSpec:
-    text = "reference joint positions [rad], then velocities [rad/s]"
-    return StateSpec((size,), description=text)
-
-
-def _followed(contract: PolicyContract) -> dict[str, StateSpec]:
-    """States of the motion and of the robot beside it; see docs/howto/motion.md."""
-    joints, xyz, upright = contract.joints, ("x", "y", "z"), (1.0, 0.0, 0.0, 0.0)
-    columns = tuple(f"{axis}{side}" for axis in xyz for side in "xy")
-    rows = (
-        ("phase", "", "", ("share",), "time since the first frame, as a share of the last one's"),
-        ("joint_pos", "rad", "", joints, "reference joint positions, policy order"),
-        ("joint_vel", "rad/s", "", joints, "reference joint velocities, policy order"),
-        ("anchor_pos", "m", "world", xyz, "where the reference's anchor is"),
-        ("anchor_quat", "", "anchor to world", ("w", *xyz), "of the reference, aligned", upright),
-        ("anchor_pos_b", "m", "anchor", xyz, "reference seen from the robot's anchor"),
-        ("anchor_ori_b", "", "anchor", columns,
-         "reference's rotation there: two columns, row by row"),
-        ("error", "rad", "", ("joints", "anchor"), "from the reference: rms, angle"),
-    )  # fmt: skip
-    states = {
-        "motion_command": _reference_command(2 * len(joints)),
-        "motion_time": StateSpec(unit="s", description="since the motion's first frame"),
-        **{
-            f"motion_{name}": StateSpec((len(names),), "float32", unit, frame, names, *more)
-            for name, unit, frame, names, *more in rows
-        },
-    }
-    if contract.motion is not None and contract.motion.duration is not None:
-        return {name: states[name] for name in ("motion_time", "motion_phase")}
+        states["motion_command"] = _state("motion_command", size=size)
     return states
 
 
