@@ -15,6 +15,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import TypeAlias
@@ -148,65 +149,54 @@ def _source(url: str) -> Callable[[Path], _Fetched]:
     """
     scheme, mark, rest = url.partition("://")
     parts = [part for part in rest.split("/") if part]
-    if not mark or scheme not in ("hf", "wandb", "file"):
+    getters = {"hf": (_hugging_face, 2), "wandb": (_wandb, 3), "file": (_file, 0)}
+    if not mark or scheme not in getters:
         schemes = "hf://OWNER/REPO, wandb://ENTITY/PROJECT/RUN, file:///PATH"
         raise PolicyError(f"policies fetch {url!r}: give {schemes}")
-    if scheme != "file" and any(part in (".", "..") for part in parts):
+    if scheme != "file" and {*parts} & {".", ".."}:
         raise PolicyError(f"policies fetch {url!r}: leave out '.' and '..'")
-    if scheme == "hf" and len(parts) >= 2:
-        repo, _, revision = parts[1].partition("@")
-        return lambda into: _hugging_face(
-            url, into, f"{parts[0]}/{repo}", revision or None, "/".join(parts[2:])
-        )
-    if scheme == "wandb" and len(parts) >= 3:
-        return lambda into: _wandb(url, into, "/".join(parts[:3]), "/".join(parts[3:]))
-    if scheme == "file":
-        return lambda into: _file(url)
-    wanted = {"hf": "hf://OWNER/REPO[@REVISION][/PATH]", "wandb": "wandb://ENTITY/PROJECT/RUN"}
-    raise PolicyError(f"policies fetch {url!r}: give {wanted[scheme]}")
+    get, least = getters[scheme]
+    if len(parts) < least:
+        wanted = "wandb://ENTITY/PROJECT/RUN" if least > 2 else "hf://OWNER/REPO[@REVISION][/PATH]"
+        raise PolicyError(f"policies fetch {url!r}: give {wanted}")
+    return partial(get, url, "/".join(parts[:least]), "/".join(parts[least:]))
 
 
-def _file(url: str) -> _Fetched:
+def _file(url: str, place: str, path: str, into: Path) -> _Fetched:
     split = urlsplit(url)
     if split.netloc not in ("", "localhost"):
         raise PolicyError(f"policies fetch {url!r}: a file of this machine has three slashes")
-    path = Path(unquote(split.path))
-    if not path.exists():
-        raise PolicyError(f"policies fetch {url!r}: no such file or folder {path}")
-    return path, path.resolve().as_uri()
+    found = Path(unquote(split.path))
+    if not found.exists():
+        raise PolicyError(f"policies fetch {url!r}: no such file or folder {found}")
+    return found, found.resolve().as_uri()
 
 
-def _hugging_face(url: str, into: Path, repo: str, revision: str | None, path: str) -> _Fetched:
+def _hugging_face(url: str, place: str, path: str, into: Path) -> _Fetched:
     huggingface_hub = imported("huggingface_hub", f"policies fetch {url}")
+    owner, named = place.split("/")
+    name, _, revision = named.partition("@")
+    repo, folder = f"{owner}/{name}", into / name
     with _told(url, "huggingface_hub"):
-        info = huggingface_hub.HfApi().model_info(repo, revision=revision)
+        info = huggingface_hub.HfApi().model_info(repo, revision=revision or None)
         there = [str(file.rfilename) for file in info.siblings or ()]
-    names = _wanted(url, there, path)
-    folder = into / repo.rpartition("/")[2]
-    with _told(url, "huggingface_hub"):
+        names = _wanted(url, there, path)
         huggingface_hub.snapshot_download(
-            repo,
-            revision=info.sha,
-            local_dir=folder,
-            allow_patterns=[glob.escape(name) for name in names],
+            repo, revision=info.sha, local_dir=folder, allow_patterns=list(map(glob.escape, names))
         )
     return folder / path, f"hf://{repo}@{info.sha}{path and f'/{path}'}"
 
 
-def _wandb(url: str, into: Path, place: str, path: str) -> _Fetched:
+def _wandb(url: str, place: str, path: str, into: Path) -> _Fetched:
     wandb = imported("wandb", f"policies fetch {url}")
     last = place.rpartition("/")[2]
     folder = into / last.partition(":")[0]
     with _told(url, "wandb"):
-        api = wandb.Api()
+        found = (wandb.Api().artifact if ":" in last else wandb.Api().run)(place)
         if ":" in last:
-            artifact = api.artifact(place)
-            files = {str(file.name): file for file in artifact.files()}
-            place = f"{place.rpartition(':')[0]}:{artifact.version}"
-        else:
-            files = {str(file.name): file for file in api.run(place).files()}
-    for name in _wanted(url, files, path):
-        with _told(url, "wandb"):
+            place = f"{place.rpartition(':')[0]}:{found.version}"
+        files = {str(file.name): file for file in found.files()}
+        for name in _wanted(url, files, path):
             files[name].download(root=str(folder), replace=True)
     return folder / path, f"wandb://{place}{path and f'/{path}'}"
 
@@ -246,6 +236,8 @@ def _told(url: str, library: str) -> Iterator[None]:
     """Turn whatever a library raises into one line."""
     try:
         yield
+    except PolicyError:
+        raise
     except Exception as error:
         text = one_line(error)[:300]
         raise PolicyError(f"{url}: {library} cannot get it: {text}") from error

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import ast
 import json
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -175,32 +176,26 @@ _METADATA: dict[str, Callable[[OnnxFile], Facts]] = {
     "joint_names": mjlab_facts,
 }
 _NAMES = {"joint_names": ",".join, "dof_names": json.dumps}
-# Keys of a configuration, with dots between nested ones, `*` for the only one -> its reader; the
-# first one whose keys are all there counts.
-_CONFIGURATIONS: dict[tuple[str, ...], Callable[[Source], Facts]] = {
-    ("joint_ids_map", "step_dt"): deploy_yaml_facts,
-    ("sim", "decimation", "observations"): env_yaml_facts,
-    (
-        "init_state.default_joint_angles",
-        "control",
-        "env.frame_stack",
-        "rewards.cycle_time",
-    ): humanoid_gym_facts,
-    ("control", "init_state.default_joint_angles"): legged_gym_facts,
-    ("PointfootCfg.size.encoder_output_size",): limx_facts,
-    ("control_frequecy", "controllers"): agibot_facts,
-    ("*.observations", "*.rl_kp"): rl_sar_facts,
-    ("*.joint_names", "*.joint_mapping"): refuse_base,
-    ("kps", "kds", "default_angles"): unitree_rl_gym_facts,
-    ("common.default_qpos", "policy"): booster_facts,
-    ("type", "input_features", "output_features"): lerobot_facts,
+# Format of a configuration -> its reader; the first one whose keys are all there counts.
+_CONFIGURATIONS: dict[str, Callable[[Source], Facts]] = {
+    "deploy_yaml": deploy_yaml_facts,
+    "env_yaml": env_yaml_facts,
+    "humanoid_gym": humanoid_gym_facts,
+    "legged_gym": legged_gym_facts,
+    "limx": limx_facts,
+    "agibot": agibot_facts,
+    "rl_sar": rl_sar_facts,
+    "rl_sar_base": refuse_base,
+    "unitree_rl_gym": unitree_rl_gym_facts,
+    "booster": booster_facts,
+    "lerobot": lerobot_facts,
 }
 _MOTORS = ("joint_ids_map", "leg_joint2motor_idx", "common.default_qpos")
 
 
 def metadata_reader(onnx: OnnxFile) -> Callable[[OnnxFile], Facts] | None:
     """Return what reads the metadata of a file; None where they are of no known format."""
-    keys = {key for key, _ in onnx.metadata}
+    keys = dict(onnx.metadata)
     return next((reader for key, reader in _METADATA.items() if key in keys), None)
 
 
@@ -218,9 +213,9 @@ def settled(
     Raises:
         PolicyError: a key stands twice, and its fact is not said.
     """
-    values: dict[str, list[str]] = {}
+    values = defaultdict[str, list[str]](list)
     for key, value in dict.fromkeys(onnx.metadata):
-        values.setdefault(key, []).append(value)
+        values[key].append(value)
     notes = []
     for key, (first, *others) in values.items():
         if not others:
@@ -236,15 +231,17 @@ def settled(
     kept = [pair for pair in onnx.metadata if len(values[pair[0]]) == 1]
     for key, written in _NAMES.items():  # by which all vectors are read
         joints = said.get("joints")
-        if len(values.get(key, ())) > 1 and isinstance(joints, list | tuple):
+        if len(values[key]) > 1 and isinstance(joints, list | tuple):
             kept.append((key, written([str(name) for name in joints])))
     return replace(onnx, metadata=tuple(kept)), notes
 
 
 def configuration_reader(values: Any) -> Callable[[Source], Facts] | None:
     """Return what reads a YAML document of a deployment; None where it is of no known format."""
-    readers = _CONFIGURATIONS.items()
-    return next((read for keys, read in readers if all(_has(values, key) for key in keys)), None)
+    for name, read in _CONFIGURATIONS.items():
+        if all(_has(values, key) for key in VOCABULARY[name]["keys"]):
+            return read
+    return None
 
 
 def counts_motors(values: Any) -> bool:
