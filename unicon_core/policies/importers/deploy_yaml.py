@@ -37,16 +37,7 @@ def deploy_yaml_facts(source: Source) -> Facts:
     """
     facts = source.facts
     facts.source, facts.tolerance = "deploy.yaml", (6e-3, 1e-6)
-    count = _joints(source)
-    _action(source, count)
-    _observation(source)
-    source.say_ranges("commands.base_velocity.ranges")
-    facts.notes.append("deploy.yaml: numbers are rounded to 3 significant digits by its exporter")
-    return facts
-
-
-def _joints(source: Source) -> int:
-    facts, order = source.facts, source.places("joint_ids_map")
+    order = source.places("joint_ids_map")
     source.say("period", source.document["step_dt"], "step_dt")
     source.say_motors("joint_ids_map", order)
     for fact in GAINS:
@@ -59,7 +50,11 @@ def _joints(source: Source) -> int:
                 f"motor {max(order)}"
             )
     source.copy("default_joint_pos", "default_joint_pos", len(order), "joint_ids_map")
-    return len(order)
+    _action(source, len(order))
+    _observation(source)
+    source.say_ranges("commands.base_velocity.ranges")
+    facts.notes.append("deploy.yaml: numbers are rounded to 3 significant digits by its exporter")
+    return facts
 
 
 def _action(source: Source, count: int) -> None:
@@ -146,7 +141,8 @@ def _is_term(value: Any) -> bool:
     return isinstance(value, Mapping) and any(key in value for key in _KEYS)
 
 
-_RL_SAR, _RL_TERMS = VOCABULARY["rl_sar"], VOCABULARY["rl_sar"]["terms"]
+_RL_SAR = VOCABULARY["rl_sar"]
+_RL_TERMS = _RL_SAR["terms"]
 
 
 def refuse_base(source: Source) -> Facts:
@@ -174,8 +170,23 @@ def rl_sar_facts(source: Source) -> Facts:
     _find_base(source)
     count = source.whole("num_of_dofs")
     wheels = source.places("wheel_indices", count) if source.document.get("wheel_indices") else []
-    _rl_joints(source, count)
-    _rl_action(source, count, wheels)
+    source.say_period("dt", "decimation")
+    mapping = source.places("joint_mapping", count, count, "num_of_dofs")
+    if source.document.get("joint_names") is not None:
+        names = source.numbers("joint_names", count, "num_of_dofs", list[str])
+        source.say("joints", [names[i] for i in mapping], "joint_mapping")
+    for name in ("period", "joints") if len(source.files) == 1 else ():
+        if name not in facts.values:
+            facts.asks[name] = "it stands in base.yaml, which is neither above nor beside it"
+    for fact, key in _RL_SAR["facts"].items():
+        source.copy(fact, key, count, "num_of_dofs")
+    if wheels:
+        kinds = ["velocity" if i in wheels else "position" for i in range(count)]
+        source.say("action.kind", kinds, "wheel_indices")
+    sides = ("clip_actions_lower", "clip_actions_upper")
+    if all(map(source.document.get, sides)):  # its program clips only then
+        source.say("action.clip", [source.numbers(side, count) for side in sides], sides[0])
+    source.say("action.feedback", "clipped", sides[0])
     _rl_observation(source, count, wheels)
     _rl_motion(source, count)
     source.network("model_name", source.need("model_name"))
@@ -198,31 +209,6 @@ def _find_base(source: Source) -> None:
         raise base.error((), f"{text} {place!r}; put that of {robot!r} there")
     source.files.append((base, (robot,)))
     source.document = {**base.value[robot], **said}  # config.yaml wins
-
-
-def _rl_joints(source: Source, count: int) -> None:
-    facts = source.facts
-    source.say_period("dt", "decimation")
-    mapping = source.places("joint_mapping", count, count, "num_of_dofs")
-    if source.document.get("joint_names") is not None:
-        names = source.numbers("joint_names", count, "num_of_dofs", list[str])
-        source.say("joints", [names[i] for i in mapping], "joint_mapping")
-    for name in ("period", "joints") if len(source.files) == 1 else ():
-        if name not in facts.values:
-            facts.asks[name] = "it stands in base.yaml, which is neither above nor beside it"
-    for fact, key in _RL_SAR["facts"].items():
-        source.copy(fact, key, count, "num_of_dofs")
-
-
-def _rl_action(source: Source, count: int, wheels: list[int]) -> None:
-    source.copy("action.scale", "action_scale", count, "num_of_dofs")
-    if wheels:
-        kinds = ["velocity" if i in wheels else "position" for i in range(count)]
-        source.say("action.kind", kinds, "wheel_indices")
-    sides = ("clip_actions_lower", "clip_actions_upper")
-    if all(map(source.document.get, sides)):  # its program clips only then
-        source.say("action.clip", [source.numbers(side, count) for side in sides], sides[0])
-    source.say("action.feedback", "clipped", sides[0])
 
 
 def _rl_observation(source: Source, count: int, wheels: list[int]) -> None:

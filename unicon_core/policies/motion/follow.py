@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -223,7 +222,7 @@ def _anchor_source(
     assert spec is not None
     if clip is not None:
         frames = (clip.anchor_quat, clip.anchor_pos)
-        return [None if each is None else partial(_of_frame, each.tolist()) for each in frames]
+        return [None if each is None else _of_frames(each.tolist()) for each in frames]
     bodies: tuple[str, ...] = (spec.anchor_body,)
     names, order = ("ref_quat_xyzw", "ref_pos_xyz"), [3, 0, 1, 2]
     if spec.anchor_body in spec.bodies:
@@ -241,16 +240,16 @@ def _anchor_source(
                 "correct motion.bodies or 'outputs'"
             )
         view = states[name].reshape(rows, count, size)[:, bodies.index(spec.anchor_body)]
-        found.append(partial(_of_row, view, places))
+        found.append(_of_rows(view, places))
     return found
 
 
-def _of_frame(frames: Any, row: int, tick: int) -> Any:
-    return frames[min(tick, len(frames) - 1)]
+def _of_frames(frames: list[Any]) -> Published:
+    return lambda row, tick: frames[min(tick, len(frames) - 1)]
 
 
-def _of_row(view: Float32, places: list[int], row: int, tick: int) -> Any:
-    return view[row, places].tolist()
+def _of_rows(view: Float32, places: list[int]) -> Published:
+    return lambda row, tick: view[row, places].tolist()
 
 
 FAR = 1 << 20

@@ -39,17 +39,6 @@ def share_sessions() -> None:
         _shared = WeakValueDictionary()
 
 
-def session_of(path: Path, provider: str, threads: int) -> Any:
-    """Return a session, where they are shared the one that is there; see `load_session`."""
-    if _shared is None:
-        return load_session(path, provider, threads)
-    key = path.resolve(), provider, threads
-    session = _shared.get(key)
-    if session is None:
-        session = _shared[key] = load_session(path, provider, threads)
-    return session
-
-
 def load_session(path: Path, provider: str = "cpu", threads: int = 1) -> Any:
     """Return an onnxruntime session.
 
@@ -120,7 +109,10 @@ class OnnxNetwork:
         if lost := self.file.lost_weights():
             raise PolicyError(f"{path}: its weights {lost}")
         self.inputs, self.outputs = self.file.inputs, self.file.outputs
-        self._session = session_of(path, provider, threads)
+        key = path.resolve(), provider, threads
+        self._session = (_shared and _shared.get(key)) or load_session(path, provider, threads)
+        if _shared is not None:
+            _shared[key] = self._session
 
     def bind(self, inputs: Arrays, outputs: Arrays) -> Callable[[], None]:
         """Return a function that runs the network on these arrays, without copies.

@@ -258,6 +258,6 @@ def _axis(data: Any) -> int | str:
     return size if isinstance(size, int) else _text(axis, 2)
 
 
-def short_text(text: str, limit: int = 60) -> str:
+def short_text(text: str) -> str:
     """Return a text in quotes, cut where it is long."""
-    return repr(text if len(text) <= limit else f"{text[: limit - 1]}…")
+    return repr(text if len(text) <= 60 else f"{text[:59]}…")

@@ -95,16 +95,12 @@ class PolicyServer:
         with patient_threads(), np.errstate(all="ignore"):  # a robot may run on this machine
             while not self._ended:
                 if self._end.socket.poll(round(LOOK * 1e3)):
-                    self._serve()
+                    for name, *message in self._end.received():
+                        self._hear(name, message)
+                    for name, robot in [*self._robots.items()]:
+                        if robot.due:  # the newest question of each is answered
+                            self._answer(name, robot)
                 look()
-
-    def _serve(self) -> None:
-        """Take what has come, and answer the newest question of each robot."""
-        for name, *message in self._end.received():
-            self._hear(name, message)
-        for name, robot in [*self._robots.items()]:
-            if robot.due:
-                self._answer(name, robot)
 
     def close(self) -> None:
         """Let go. Safe to call twice."""

@@ -141,7 +141,13 @@ class TorchMemory:
                 value = getattr(owner, path[-1])
                 is_tensor = isinstance(value, torch.Tensor)
                 tensors = [value] if is_tensor else value
-                if isinstance(tensors, list) and tensors and _all_of(weights, tensors):
+                if (
+                    isinstance(tensors, list)
+                    and tensors
+                    and all(
+                        hasattr(each, "data_ptr") and each.data_ptr() in weights for each in tensors
+                    )
+                ):
                     continue  # what only looks as if it were written: the graph cannot tell
                 self.names.append(".".join(path))
                 if is_set or not is_tensor:
@@ -222,10 +228,6 @@ def _written(module: Any) -> dict[tuple[str, ...], bool]:
     for node in graph.findAllNodes("prim::SetAttr"):
         found[_path(node)] = True
     return found
-
-
-def _all_of(known: set[int], values: list[Any]) -> bool:
-    return all(hasattr(value, "data_ptr") and value.data_ptr() in known for value in values)
 
 
 def _path(node: Any) -> tuple[str, ...]:
