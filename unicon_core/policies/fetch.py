@@ -95,19 +95,19 @@ def fetch_policy(
         path, source = get(Path(name) / "fetched")
         new = Path(name) / "new"
         report = import_policy(path, new, robot=robot, given=given)
-        digests = _digests(new, url, sha256)
-        _note(new / "policy.yaml", source)
+        digests = _digests(new, url, sha256, source)
         _put(new, out, Path(name) / "old")
     return FetchReport(source, digests, replace(report, path=out / report.path.name))
 
 
-def _digests(folder: Path, url: str, wanted: str | None) -> dict[str, str]:
-    """Return the hashes of the networks, that of the action first.
+def _digests(folder: Path, url: str, wanted: str | None, source: str) -> dict[str, str]:
+    """Return the hashes of the networks, that of the action first; note the source in the policy.
 
     Raises:
         PolicyError: it is not the one that is wanted.
     """
-    values = read_yaml(folder / "policy.yaml", PolicyError, foreign=True).value
+    path = folder / "policy.yaml"
+    values = read_yaml(path, PolicyError, foreign=True).value
     main = values.get("onnx") or values.get("torchscript")
     if main is None:
         raise PolicyError(f"{url}: no single network is with it; name its file at the end")
@@ -118,14 +118,10 @@ def _digests(folder: Path, url: str, wanted: str | None) -> dict[str, str]:
             f"{url}: {main} has sha256 {digests[main]}, and --sha256 says {wanted}; nothing was "
             "written: make sure which one you want"
         )
+    if "sources" not in values:
+        with path.open("a", encoding="utf-8") as file:
+            yaml.safe_dump({"sources": {"fetched": source}}, file)
     return digests
-
-
-def _note(path: Path, source: str) -> None:
-    """Add to a policy.yaml where it is from."""
-    if "sources" not in read_yaml(path, PolicyError, foreign=True).value:
-        text = path.read_text("utf-8")
-        path.write_text(f"{text}{yaml.safe_dump({'sources': {'fetched': source}})}", "utf-8")
 
 
 def _put(new: Path, out: Path, old: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -128,8 +129,8 @@ def _copy_model(model: Path, folder: Path) -> None:
 
 
 def _copy(source: Path, target: Path) -> None:
-    if not os.path.exists(target) or not os.path.samefile(source, target):
-        target.parent.mkdir(parents=True, exist_ok=True)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with suppress(shutil.SameFileError):
         shutil.copyfile(source, target)
 
 

@@ -334,12 +334,22 @@ def main() -> int:
     except Exception as error:
         parent.tell(error=f"{what}: its process raised {text_of(error)}", kind="PolicyError")
         return 1
+    looked = 0.0
     try:
-        _run(parent, reader, bound, writer)
+        with np.errstate(all="ignore"):
+            while True:
+                signal.alarm(ALARM)  # the kernel ends a call that hangs, also without a parent
+                if reader.wait(_LOOK) and reader.take():
+                    bound.answer()
+                    writer.publish()
+                now = time.monotonic()
+                if now - looked > _LOOK:
+                    looked = now
+                    if parent.wishes() is None or not reader.alive():
+                        return 0  # the parent has closed or died
     except Exception as error:
         parent.tell(fault=f"{what}: its process raised {text_of(error)}")
         return 3
-    return 0
 
 
 def schedule(policy: int) -> None:
@@ -358,22 +368,6 @@ def _prepare(contract: PolicyContract) -> Iterator[str]:
         except (OSError, AttributeError) as error:
             last = (os.cpu_count() or 1) - 1
             yield f"core {cpu} refused ({error}); known: 0 to {last} (child.cpu)"
-
-
-def _run(parent: Parent, reader: ShmReader, bound: Bound, writer: ShmWriter) -> None:
-    """Answer until the parent closes or dies."""
-    looked = 0.0
-    with np.errstate(all="ignore"):
-        while True:
-            signal.alarm(ALARM)  # the kernel ends a call that hangs, also without a parent
-            if reader.wait(_LOOK) and reader.take():
-                bound.answer()
-                writer.publish()
-            now = time.monotonic()
-            if now - looked > _LOOK:
-                looked = now
-                if parent.wishes() is None or not reader.alive():
-                    return
 
 
 if __name__ == "__main__":

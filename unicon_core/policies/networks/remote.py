@@ -71,7 +71,8 @@ def contract_hash(contract: PolicyContract) -> bytes:
     said: list[Any] = [contract.inputs, contract.outputs, contract.recurrent, contract.feeds]
     said += [(part.name, part.feeds) for part in contract.networks]
     files = lerobot_files(contract.model.parent) if contract.is_lerobot else []
-    for model in () if files else (contract.model, *(part.model for part in contract.networks)):
+    for part in () if files else (contract, *contract.networks):
+        model = part.model
         if contract.is_torchscript:
             raise PolicyError(
                 f"{model}: a server runs networks that say their sizes, ONNX and LeRobot's "
@@ -154,30 +155,26 @@ class RemoteNetwork:
             self._end = Endpoint(
                 self.what, spec.address, publish=None, bind=False, size=LARGEST, keys=spec.keys
             )
+        end = time.monotonic() + START
         try:
-            self._greet()
+            while not self._sides:
+                SIGNALS.check()
+                self._end.rejoin()
+                self._send(HELLO)
+                if self.wait(0.1):
+                    self._drain()
+                if self._refused:
+                    raise PolicyError(self._refused)
+                if time.monotonic() > end:
+                    raise PolicyError(
+                        f"{self.what}: {self.culprit} has not answered for {START:g} s; start it: "
+                        "unicon serve, or correct remote.address and remote.keys"
+                    )
         except BaseException:
             self.close()
             raise
         self.inputs, self.outputs = self._sides
         self.questions, self.answers = map(States, layouts_of(self._sides))
-
-    def _greet(self) -> None:
-        """Say hello until the server is ready."""
-        end = time.monotonic() + START
-        while not self._sides:
-            SIGNALS.check()
-            self._end.rejoin()
-            self._send(HELLO)
-            if self.wait(0.1):
-                self._drain()
-            if self._refused:
-                raise PolicyError(self._refused)
-            if time.monotonic() > end:
-                raise PolicyError(
-                    f"{self.what}: {self.culprit} has not answered for {START:g} s; start it: "
-                    "unicon serve, or correct remote.address and remote.keys"
-                )
 
     def bind(self, inputs: Arrays, outputs: Arrays) -> Question:
         """Return what asks the server about these arrays, and brings its answers into them.
