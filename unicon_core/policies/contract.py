@@ -350,6 +350,11 @@ class PolicyContract(PolicyFacts):
     notes: tuple[str, ...] = ()
 
     @property
+    def parts(self) -> tuple[NetworkPart, ...]:
+        """All networks in order; the last one, which gives the action, has no name."""
+        return (*self.networks, NetworkPart("", self.model, self.feeds, self.sha256))
+
+    @property
     def threads(self) -> int:
         """How many threads the networks have: one in the process of the ticks."""
         return 1 if self.child is None else self.child.threads

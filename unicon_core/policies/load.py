@@ -378,19 +378,19 @@ def _name_tensors(facts: Facts, onnx: OnnxFile) -> None:
 def _contract(facts: Facts) -> PolicyContract:
     """Build the contract, whose network is there and the one that it was written for."""
     contract = build_contract(facts)
-    for part in (contract, *contract.networks):
+    for part in (contract.parts[-1], *contract.networks):
         model, wanted = part.model, part.sha256
         where: Where = ("networks", part.name)
-        if part is contract:
+        if not part.name:
             where = ("torchscript" if contract.is_torchscript else "onnx",)
         if not os.path.isfile(model):
             text = f"no such file {model}; put the network there or correct the path"
             raise facts.error(where, text)
-        if part is not contract and (lost := read_onnx(model).lost_weights()):
+        if part.name and (lost := read_onnx(model).lost_weights()):
             raise facts.error(where, f"its weights {lost}")
         if wanted is not None and (digest := sha256_of(model)) != wanted:
             raise facts.error(
-                ("sha256",) if part is contract else where,
+                where if part.name else ("sha256",),
                 f"{model.name} has sha256 {digest[:12]}… and not {wanted[:12]}…; it is not the "
                 "network that this contract was written for: import it again",
             )

@@ -116,7 +116,7 @@ class Policy:
             self._command = self.action_map.bind(action, computed)
         else:
             measured = states["joint_pos"].reshape(rows, n)
-            self._command = self.action_map.bind_all(action, *self._computed, measured)
+            self._command = self.action_map.bind_all(action, computed, velocity, torque, measured)
         if smooth is not None:
             self.lane.behind(smooth)
         self._published = (

@@ -64,7 +64,8 @@ def _say_frame(
     bound, frames = source.number(clip), source.whole(history)
     frame = VOCABULARY["humanoid_gym"]["terms"] | {"command": command}
     terms = [
-        {**source.term(*pair, scales, bound=bound), "history": frames} for pair in frame.items()
+        {**source.term(name, scale, scales, bound=bound), "history": frames}
+        for name, scale in frame.items()
     ]
     terms[-1]["state"] = "base_rpy"
     source.say_terms(terms, size, 11 + 3 * moved, f"{program} lays out")
@@ -203,7 +204,8 @@ def _limx_terms(source: Source, wheels: list[bool], gait: tuple[float, ...]) -> 
     actor = read_onnx(facts.model())
     encoder = read_onnx(actor.path.with_name("encoder.onnx"))
     seen = [i for i in range(count) if not wheels[i]]
-    frame = [source.term(*pair, "normalization.obs_scales.") for pair in _WORDS["terms"].items()]
+    scales = "normalization.obs_scales."
+    frame = [source.term(name, scale, scales) for name, scale in _WORDS["terms"].items()]
     if any(wheels):
         frame[2]["index"] = seen
     else:

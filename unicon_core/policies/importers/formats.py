@@ -82,8 +82,9 @@ def booster_facts(source: Source) -> Facts:
     part = range(count - moved, count) if moved < count else range(0)
     if joints is not None and part:
         source.say("action.joints", joints[part.start :], "policy.num_actions")
+    under = "policy.normalization."
     scales = _BOOSTER["terms"].items()
-    terms = [source.term(*pair, "policy.normalization.", seen=part) for pair in scales]
+    terms = [source.term(name, scale, under, seen=part) for name, scale in scales]
     size, program = "policy.num_observations", "deploy/utils/policy.py lays out"
     source.say_terms(terms, size, 11 + 3 * moved, f"{program} for {moved} actions")
     facts.say("command", {"slew": _SLEW}, _PROGRAM)

@@ -13,7 +13,7 @@ import numpy as np
 
 from unicon_base.arrays import Array
 from unicon_base.errors import MissingDependencyError, PolicyError, alternatives, imported, one_line
-from unicon_core.policies.contract import NetworkPart, PolicyContract
+from unicon_core.policies.contract import PolicyContract
 from unicon_core.policies.hints import Feed
 from unicon_core.policies.networks.onnx_file import Arrays, OnnxFile, Tensor, read_onnx
 
@@ -147,8 +147,8 @@ OBSERVATION = "observation"
 def chained_outputs(contract: PolicyContract) -> dict[str, Tensor]:
     """Return the outputs of all networks of a policy; those of earlier ones as `NAME.output`."""
     tensors: dict[str, Tensor] = {}
-    for part in (contract, *contract.networks):
-        tensors |= _named(_name(contract, part), read_onnx(part.model).outputs)
+    for part in contract.parts:
+        tensors |= _named(part.name, read_onnx(part.model).outputs)
     return tensors
 
 
@@ -174,8 +174,8 @@ class ChainedNetworks:
     def __init__(self, contract: PolicyContract) -> None:
         self._name, provider, threads = contract.name, contract.provider, contract.threads
         self._parts = [
-            (_name(contract, part), OnnxNetwork(part.model, provider, threads), part.feeds)
-            for part in (*contract.networks, contract)
+            (part.name, OnnxNetwork(part.model, provider, threads), part.feeds)
+            for part in contract.parts
         ]
         made: dict[str, Tensor] = {}
         inputs: list[Tensor] = []
@@ -269,10 +269,6 @@ class ChainedNetworks:
                 step()
 
         return run
-
-
-def _name(contract: PolicyContract, part: NetworkPart | PolicyContract) -> str:
-    return "" if part is contract else part.name
 
 
 def _named(name: str, tensors: Iterable[Tensor]) -> dict[str, Tensor]:

@@ -71,8 +71,7 @@ def contract_hash(contract: PolicyContract) -> bytes:
     said: list[Any] = [contract.inputs, contract.outputs, contract.recurrent, contract.feeds]
     said += [(part.name, part.feeds) for part in contract.networks]
     files = lerobot_files(contract.model.parent) if contract.is_lerobot else []
-    for part in () if files else (contract, *contract.networks):
-        model = part.model
+    for model in () if files else (contract.model, *(part.model for part in contract.networks)):
         if contract.is_torchscript:
             raise PolicyError(
                 f"{model}: a server runs networks that say their sizes, ONNX and LeRobot's "
