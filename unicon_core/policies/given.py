@@ -83,11 +83,12 @@ def _merge_terms(facts: Facts, observation: AnyDict) -> None:
     """Bring given terms into the source's list of terms, by name."""
     given, scale = observation.pop("terms", None), observation.pop("scale", None)
     if given is not None:
-
-        def wrong(_: Where, text: str) -> PolicyError:
-            return PolicyError(f"{facts.path}: given {text}")
-
-        given = read_value(_TERMS, given, wrong, "observation.terms")
+        given = read_value(
+            _TERMS,
+            given,
+            lambda _, text: PolicyError(f"{facts.path}: given {text}"),
+            "observation.terms",
+        )
     if facts.values.get("observation") is None:
         facts.values["observation"] = {}
     target = facts.values["observation"]

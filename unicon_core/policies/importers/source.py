@@ -279,13 +279,11 @@ class Source:
         robot, facts = self.robot, self.facts
         if robot is None:
             counted = f"motors {', '.join(map(str, order))}"
-            joints = self.joints(
-                len(order), f"it counts {counted}; name their joints in this order"
-            )
-            if joints is None:
-                facts.asks["joints"] = f"{counted} of the robot: name the robot"
-            else:
+            what = f"it counts {counted}; name their joints in this order"
+            if (joints := self.joints(len(order), what)) is not None:
                 facts.values["joints"] = joints
+            else:
+                facts.asks["joints"] = f"{counted} of the robot: name the robot"
             return
         motors = motors_of(robot)
         for i in order:

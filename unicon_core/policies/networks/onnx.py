@@ -211,21 +211,18 @@ class ChainedNetworks:
         self._row(tensor)
         total = 0
         for feed in feeds:
-            if feed.source == OBSERVATION:
-                stop = self._row(tensor) if feed.stop is None else feed.stop
-                self._width = max(self._width, stop)
-            elif feed.source in made:
-                source = made[feed.source]
-                width = self._row(source)
-                stop = width if feed.stop is None else feed.stop
-                if stop > width:
-                    raise self._fail(f"feeds of {tensor.name}: {feed} is beyond {source}")
-            else:
-                known = (OBSERVATION, *made)
+            if feed.source not in (OBSERVATION, *made):
                 raise self._fail(
                     f"feeds of {tensor.name}: nothing before it is called {feed.source!r}; "
-                    f"{alternatives(feed.source, known)}"
+                    f"{alternatives(feed.source, (OBSERVATION, *made))}"
                 )
+            source = tensor if feed.source == OBSERVATION else made[feed.source]
+            width = self._row(source)
+            stop = width if feed.stop is None else feed.stop
+            if source is tensor:
+                self._width = max(self._width, stop)
+            elif stop > width:
+                raise self._fail(f"feeds of {tensor.name}: {feed} is beyond {source}")
             total += stop - feed.start
         if total != tensor.width:
             listed = " + ".join(map(str, feeds))
