@@ -21,7 +21,7 @@ from unicon_core import __version__
 from unicon_core.runtime import Report, Runner, RunOptions
 from unicon_core.workflow import Program, load_document
 from unicon_lab.view.metered import Metered
-from unicon_lab.view.metrics import _OF_STATES, BOUNDS, _escaped, _number
+from unicon_lab.view.metrics import _TABLE, BOUNDS, _escaped, _number
 from unicon_ros.cli.main import main
 
 RATE = 200.0
@@ -217,7 +217,7 @@ def test_the_table_of_the_documentation_names_what_there_is() -> None:
     rows = [line for line in section.splitlines() if line.startswith("| `")]
     named = {name for row in rows for name in re.findall(r"`([a-z_]+)", row.split("|")[1])}
     code = (root / "unicon_lab" / "view" / "metrics.py").read_text("utf-8")
-    made = set(re.findall(r'_(?:metric|single)\("(\w+)"', code)) | {row[2] for row in _OF_STATES}
-    made |= set(re.findall(r'\.lines\("(\w+)"', code))
+    made = set(re.findall(r'\b([a-z_]+)(?:"\]?[,)]|=)', code)) | set(_TABLE["states"])
     made |= {f"ros_messages_{way}_total" for way in ("published", "received")}
-    assert named == made
+    assert named == set(_TABLE["help"])
+    assert named <= made

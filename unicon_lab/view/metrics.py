@@ -1,6 +1,7 @@
 """Metrics: a run as figures for Prometheus, at http://127.0.0.1:PORT/metrics.
 
-The format is Prometheus' text exposition format 0.0.4. Runs in the viewer's process.
+The format is Prometheus' text exposition format 0.0.4. Runs in the viewer's process. What each
+metric is, and which states are metrics, stands in `metrics.yaml`.
 """
 
 from __future__ import annotations
@@ -11,12 +12,14 @@ from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from unicon_base import AnyMapping, UniconError
 from unicon_base.arrays import Array, Float64
+from unicon_base.located_yaml import read_yaml
 from unicon_core import __version__
 from unicon_lab.view.shown import Shown
 from unicon_lab.view.source import Remote, Snapshot, Source
@@ -39,19 +42,7 @@ BOUNDS = (
 # Labels and a value.
 _Labelled = tuple[Mapping[str, str], Any]
 
-_OF_STATES = (
-    # state, elements, metric, what it is
-    ("velocity_command", slice(0, 2), "velocity_command_meters_per_second", "commanded velocity"),
-    ("velocity_command", slice(2, 3), "turn_command_radians_per_second", "commanded turn"),
-    ("base_lin_vel", slice(0, 3), "base_velocity_meters_per_second", "velocity of the base"),
-    ("base_ang_vel", slice(0, 3), "base_turn_radians_per_second", "angular velocity of the base"),
-    ("base_pos_w", slice(0, 3), "base_position_meters", "position of the base in the world"),
-    ("joint_pos", None, "joint_position_radians", "position of a joint"),
-    ("joint_effort", None, "joint_torque_newton_meters", "torque of a joint"),
-    ("motor_temperature", None, "motor_temperature_celsius", "temperature of a motor"),
-    ("battery_charge", None, "battery_charge_ratio", "charge of the battery, 0 to 1"),
-    ("battery_voltage", None, "battery_volts", "voltage of the battery"),
-)
+_TABLE: AnyMapping = read_yaml(Path(__file__).with_name("metrics.yaml")).value
 
 
 class Metrics:
@@ -115,54 +106,49 @@ class Metrics:
             "platform": shown.platform,
             "version": __version__,
         }
-        yield from _metric("run_info", "gauge", "the run", [(about, 1)])
-        yield from _single("tick_period_seconds", "gauge", "of a tick", shown.period)
-        yield from _single("faults", "gauge", "faults of the run", len(texts["faults"]))
-        for key, what in (("published", "published to"), ("received", "taken from")):
+        yield from _metric("run_info", [(about, 1)])
+        yield from _singles(tick_period_seconds=shown.period, faults=len(texts["faults"]))
+        for key in ("published", "received"):
             if counts := texts.get("counts", {}).get(key):
-                name, what = f"ros_messages_{key}_total", f"messages {what} a topic"
-                yield from _metric(name, "counter", what, _each("topic", *zip(*counts)))
+                yield from _metric(f"ros_messages_{key}_total", _each("topic", *zip(*counts)))
         if tick is None:
             return
         at = [int(number == tick.phase) for number in range(len(shown.phases))]
-        what = "1 for the phase that the run is at"
-        yield from _metric("phase", "gauge", what, _each("phase", shown.phases, at))
-        stamp, missed, what = tick.wall_ns * 1e-9, tick.overruns, "deadlines that were missed"
-        yield from _single("last_tick_timestamp_seconds", "gauge", "of the newest tick", stamp)
-        yield from _single("ticks_total", "counter", "ticks of all phases", self._handle)
-        yield from _single("overruns_total", "counter", what, missed)
-        what = "ticks that are in no histogram"
-        yield from _single("ticks_unseen_total", "counter", what, self._unseen)
-        yield from self._busy.lines("tick_busy_seconds", "time of a tick from its begin to its end")
-        yield from self._late.lines("tick_lateness_seconds", "begin of a tick after its deadline")
+        yield from _metric("phase", _each("phase", shown.phases, at))
+        yield from _singles(
+            last_tick_timestamp_seconds=tick.wall_ns * 1e-9,
+            ticks_total=self._handle,
+            overruns_total=tick.overruns,
+            ticks_unseen_total=self._unseen,
+        )
+        yield from self._busy.lines("tick_busy_seconds")
+        yield from self._late.lines("tick_lateness_seconds")
         yield from self._of_states(tick.states)
 
     def _of_states(self, states: Mapping[str, Array]) -> Iterator[str]:
         robot = self._shown.robot
         joints = robot.joint_names
-        for state, part, name, what in _OF_STATES:
+        for name, (state, *axes) in _TABLE["states"].items():
             if state not in states or state not in self._written:
                 continue
             values = states[state].reshape(-1)
-            if part is not None:
-                told = _each("axis", "xyz"[part], values[part])
+            if axes:
+                told = _each("axis", "xyz"[slice(*axes)], values[slice(*axes)])
             elif values.size == len(joints) and values.size > 1:
                 told = _each("joint", joints, values)
             else:
                 told = [({}, x) for x in values[:1]]
-            yield from _metric(name, "gauge", what, told)
+            yield from _metric(name, told)
         if "projected_gravity" in self._written:
             upright = float(np.clip(-states["projected_gravity"].reshape(-1)[2], -1.0, 1.0))
-            tilt = np.arccos(upright)
-            yield from _single("base_tilt_radians", "gauge", "of the base from upright", tilt)
+            yield from _singles(base_tilt_radians=np.arccos(upright))
         if self._largest is not None:
-            most = _each("joint", joints, self._largest)
-            what = "largest torque of a joint so far, without its sign"
-            yield from _metric("joint_torque_largest_newton_meters", "gauge", what, most)
-            limits = _each("joint", joints, robot.effort_limit)
+            largest, limits = (
+                _each("joint", joints, each) for each in (self._largest, robot.effort_limit)
+            )
+            yield from _metric("joint_torque_largest_newton_meters", largest)
             limits = [(joint, x) for joint, x in limits if np.isfinite(x)]
-            what = "largest allowed torque of a joint"
-            yield from _metric("joint_torque_limit_newton_meters", "gauge", what, limits)
+            yield from _metric("joint_torque_limit_newton_meters", limits)
 
 
 class _Server(ThreadingHTTPServer):
@@ -232,8 +218,8 @@ class _Histogram:
         self._counts[bisect_left(BOUNDS, value)] += 1
         self._sum += value
 
-    def lines(self, name: str, what: str) -> Iterator[str]:
-        yield from _head(name, "histogram", what)
+    def lines(self, name: str) -> Iterator[str]:
+        yield _head(name, "histogram")
         below = 0
         for bound, count in zip((*BOUNDS, float("inf")), self._counts):
             below += count
@@ -242,8 +228,8 @@ class _Histogram:
         yield f"unicon_{name}_count {below}\n"
 
 
-def _head(name: str, kind: str, what: str) -> Iterator[str]:
-    yield f"# HELP unicon_{name} {what}\n# TYPE unicon_{name} {kind}\n"
+def _head(name: str, kind: str) -> str:
+    return f"# HELP unicon_{name} {_TABLE['help'][name]}\n# TYPE unicon_{name} {kind}\n"
 
 
 def _each(label: str, names: Iterable[str], values: Iterable[Any]) -> list[_Labelled]:
@@ -251,15 +237,18 @@ def _each(label: str, names: Iterable[str], values: Iterable[Any]) -> list[_Labe
     return [({label: name}, value) for name, value in zip(names, values)]
 
 
-def _metric(name: str, kind: str, what: str, told: Iterable[_Labelled]) -> Iterator[str]:
-    yield from _head(name, kind, what)
+def _metric(name: str, told: Iterable[_Labelled]) -> Iterator[str]:
+    """Yield the lines of a metric: one whose name ends in `_total` is a counter, others gauges."""
+    yield _head(name, "counter" if name.endswith("_total") else "gauge")
     for labels, value in told:
         inside = ",".join(f'{key}="{_escaped(text)}"' for key, text in labels.items())
         yield f"unicon_{name}{f'{{{inside}}}' if inside else ''} {_number(value)}\n"
 
 
-def _single(name: str, kind: str, what: str, value: Any) -> Iterator[str]:
-    return _metric(name, kind, what, [({}, value)])
+def _singles(**values: Any) -> Iterator[str]:
+    """Yield the lines of metrics of one number each, by their names."""
+    for name, value in values.items():
+        yield from _metric(name, [({}, value)])
 
 
 def _escaped(text: str) -> str:
