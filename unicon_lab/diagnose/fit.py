@@ -238,7 +238,7 @@ class Diagnosed(Fed):
             UniconError: the robot cannot be simulated.
         """
         self.warn = runner.program.tell  # the lines of a viewer, too
-        self._watch(runner, {"sink": SINK, "scene": self._scene}).heard = self._heard
+        self._start(runner, {"sink": SINK, "scene": self._scene}).heard = self._heard
 
     def _heard(self, words: AnyDict) -> None:
         told = self._session and self._session.diagnostics

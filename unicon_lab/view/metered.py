@@ -46,7 +46,7 @@ class Metered(Fed):
             UniconError: the port cannot be had.
         """
         written = sorted(told_states(runner.program))
-        self._watch(runner, {"port": self._port, "written": written, "sink": SINK})
+        self._start(runner, {"port": self._port, "written": written, "sink": SINK})
 
     def _tell(self, peripheral: Peripheral) -> bool:
         texts: AnyDict = {"faults": [fault[:80] for fault in self._runner.faults[:9]]}

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from unicon_base import AnyDict, AnyMapping, PlatformError, TextSink, UniconError
@@ -66,16 +66,12 @@ LONGEST = 3500
 """Bytes of the texts: they go through a pipe whole or not at all."""
 
 
-class _Drives(Protocol):
-    driving: int
-
-
-class _Pauses(Protocol):
-    paused: Any
-
-
 def _filling(
-    runner: Runner, cells: Sequence[Any], ring: FrameRing, driver: _Drives, controls: _Pauses
+    runner: Runner,
+    cells: Sequence[Any],
+    ring: FrameRing,
+    driver: Driver | Fed,
+    controls: Controls | Fed,
 ) -> Callable[[], None]:
     """Return what copies a tick; all that it looks at is bound once.
 
@@ -84,7 +80,7 @@ def _filling(
         cells: of its graph's variables that are the counters.
         ring: of ticks: `HEAD`, counters, states.
         driver: knows whether a viewer drives.
-        controls: know whether the simulator stands still.
+        controls: know whether the simulator stands still. A process that only looks has neither.
     """
     states = runner.program.states.buffer.data.cast("B")
     program, statistics = runner.program, runner.statistics
@@ -163,39 +159,31 @@ class Fed(Attachment):
         """Return the block that copies each tick."""
         return {Stage.OBSERVE: [Block(self.label, self._tick, endless=True)]}
 
-    def _watch(self, runner: Runner, options: AnyDict) -> Peripheral:
-        """Start a process that only looks; see `_start`."""
-        told = States(peripheral_states(self.label, {}))
-        return self._start(runner, told, options, self, self, self.interval, self.interval)
-
     def _start(
         self,
         runner: Runner,
-        told: States,
         options: AnyDict,
-        driver: _Drives,
-        controls: _Pauses,
-        stale: float,
-        period: float,
-        map: str = "default",
-        frame_prefix: str = "",
+        told: States | None = None,
+        stale: float = 0.0,
+        driver: Driver | None = None,
+        controls: Controls | None = None,
+        *names: str,
     ) -> Peripheral:
         """Start the process that reads a run's ring, and return it.
 
         Args:
             runner: of the run, before its first tick.
-            told: states that it publishes.
             options: of its sink; `port` becomes the one that it has got, where browsers look for a
                 process that is started again.
-            driver, controls: as of `_filling`.
-            stale: so long it may be silent, in [s].
-            period: between two looks at it, in [s].
-            map, frame_prefix: as of `shown_of`.
+            told: states that it publishes; None for those of a process that only looks.
+            stale: so long it may be silent, in [s]; 0 for `interval`.
+            driver, controls: as of `_filling`; None where it only looks.
+            names: map and frame prefix, as of `shown_of`.
 
         Raises:
             UniconError: it cannot begin.
         """
-        shown, variables = shown_of(runner.program, runner.graph, map, frame_prefix)
+        shown, variables = shown_of(runner.program, runner.graph, *names)
         cells = runner.graph.cells(variables)
         size = HEAD.size + 8 * len(cells) + runner.program.states.buffer.nbytes
         ticks = max(FEWEST, min(round(self.kept / runner.program.period), LARGEST // size))
@@ -203,13 +191,18 @@ class Fed(Attachment):
         ring.touch()
         data = {"shown": replace(shown, records=bool(self._recorded)), "ring": str(ring.path)}
         given = {"name": self.label, "options": options, "data": data}
+        told = told or States(peripheral_states(self.label, {}))
+        often = stale or self.interval, driver.interval if driver else self.interval
         try:
-            process = Peripheral(told, told.layout, PROCESS, given, {}, stale, period, self.warn)
+            process = Peripheral(told, told.layout, PROCESS, given, {}, *often, self.warn)
         except BaseException:
             ring.close()
             raise
         self._peripheral, self.address = process, str(process.first["address"])
-        self._runner, self._fill = runner, _filling(runner, cells, ring, driver, controls)
+        self._runner, self._fill = (
+            runner,
+            _filling(runner, cells, ring, driver or self, controls or self),
+        )
         options["port"] = urlsplit(self.address).port or options.get("port", PORT)
         return process
 
@@ -301,8 +294,8 @@ class View(Fed):
         assert driver is not None
         if controls.runner is None:
             controls.runner = runner
-        run = (runner, self._told, self._options, driver, controls)
-        peripheral = self._start(*run, DEAD_MAN, driver.interval, *self._names)
+        run = runner, self._options, self._told, DEAD_MAN, driver, controls
+        peripheral = self._start(*run, *self._names)
         driver.attach(peripheral, runner)
         self._act, peripheral.heard = peripheral.heard, self._heard
         self._options.pop("layout", None)  # it is written once
