@@ -40,9 +40,7 @@ _EASE = 0.25  # [s] in which the camera follows the base
 _SUN = np.array((2.0, -3.0, 6.0))  # [m] from what the camera looks at
 _GHOST = (0.27, 0.51, 0.9, 0.35)
 _SAME = 2e-3  # [m], and of a quaternion: a target that near hides nothing
-_SKY, _HORIZON = (0.62, 0.72, 0.84), (0.95, 0.96, 0.98)
 _GROUND = (0.70, 0.73, 0.70, 1.0)
-_TILES = (0.80, 0.82, 0.85), (0.72, 0.74, 0.78)
 
 
 class Film:
@@ -212,23 +210,11 @@ def _curve(record: Record, what: str) -> tuple[Any, ...]:
 def _model(stage: Any, size: tuple[int, int], ghost: bool, floor: float) -> Any:
     """Return an `MjModel` of a stage's shapes on a floor at a height in [m]; bodies are put."""
     mujoco = import_mujoco()
-    spec = mujoco.MjSpec()
-    vis = spec.visual
+    spec = mujoco.MjSpec.from_file(str(Path(__file__).with_name("video.xml")))
+    vis, world = spec.visual, spec.worldbody
     vis.global_.offwidth, vis.global_.offheight = size
-    vis.headlight.ambient, vis.headlight.diffuse = [0.45] * 3, [0.35] * 3
-    vis.map.znear, vis.map.zfar, spec.stat.extent = 0.02, 100.0, 1.0
     vis.map.shadowclip = 2.0 * stage.size
-    vis.quality.shadowsize = 1024
-    world, kinds = spec.worldbody, mujoco.mjtTexture
-    world.add_light(type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, diffuse=[0.5] * 3)
-    look = {"builtin": mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, "rgb1": _SKY, "rgb2": _HORIZON}
-    spec.add_texture(name="sky", type=kinds.mjTEXTURE_SKYBOX, width=64, height=384, **look)
-    look = {"builtin": mujoco.mjtBuiltin.mjBUILTIN_CHECKER, "rgb1": _TILES[0], "rgb2": _TILES[1]}
-    spec.add_texture(name="tiles", type=kinds.mjTEXTURE_2D, width=256, height=256, **look)
-    tiles = spec.add_material(name="tiles", texuniform=True, texrepeat=[1.0, 1.0])
-    tiles.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
-    plane = {"type": mujoco.mjtGeom.mjGEOM_PLANE, "size": [0.0, 0.0, 1.0]}
-    world.add_geom(pos=[0.0, 0.0, floor], material="tiles", **plane)
+    spec.geom("floor").pos[2] = floor
     for copy in range(1 + ghost):
         bodies = [world.add_body(mocap=True) for _ in stage.pose.position]
         for number, shape in enumerate(stage.shapes):
