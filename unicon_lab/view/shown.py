@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from unicon_base import UniconError
+from unicon_base.located_yaml import read_yaml
 from unicon_core.flow import Chain, Node, Switch
 from unicon_core.flow.compiled import CompiledGraph
 from unicon_core.models.find import model_of, terrain_of
@@ -39,19 +40,8 @@ DRIVING, GIVEN_BACK = 1, 2
 DEAD_MAN = 0.5
 """So long a driver counts that is not heard, in [s]."""
 
-PAGE = peripheral_states(
-    NAME,
-    {
-        "view_velocity": StateSpec((3,), description="velocity that the driver commands"),
-        "view_mode": StateSpec((), "int32", description="1: a viewer drives, 2: it has let go"),
-        "view_touch": StateSpec((), "int64", description="how often a driver has begun"),
-        "view_estop": StateSpec((), "int64", description="how often the e-stop was pressed"),
-        "view_acts": StateSpec((), "int64", description="how many wishes lie in the pipe"),
-        "view_pull_body": StateSpec((), "int32", description="body that is dragged; 0: none"),
-        "view_pull_place": StateSpec((3,), unit="m", description="where, in the body's frame"),
-        "view_pull_goal": StateSpec((3,), unit="m", frame="world", description="dragged there"),
-    },
-)
+_STATES = read_yaml(Path(__file__).with_name("states.yaml")).value
+PAGE = peripheral_states(NAME, {name: StateSpec(**spec) for name, spec in _STATES.items()})
 """What a viewer's process tells, beside the states of the workflow. Its stamp is when the driver
 was heard last."""
 
