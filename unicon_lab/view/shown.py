@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -62,7 +62,7 @@ class GraphLine:
     when: tuple[tuple[int, int], ...]
     number: int = -1
 
-    def runs(self, counters: Mapping[int, int] | list[int]) -> bool:
+    def runs(self, counters: Sequence[int]) -> bool:
         """Tell whether the node is in its turn."""
         return all(counters[number] == value for number, value in self.when)
 

@@ -47,6 +47,10 @@ def _on(event: Callable[[Any], object], do: Callable[[Any], object]) -> None:
             do(happened)
 
 
+def _switch(scene: Scene, name: str, event: Any) -> None:
+    setattr(scene, name, event.target.value)
+
+
 class Chart:
     """One plot and what chooses its curves.
 
@@ -67,9 +71,9 @@ class Chart:
             first = first if first in known else NONE
             self._state = gui.add_dropdown("plot", known, initial_value=first)
             self._elements = gui.add_dropdown("of", (ALL,), visible=False)
-        self._changed = {"state"}
-        _on(self._state.on_update, lambda _: self._changed.add("state"))
-        _on(self._elements.on_update, lambda _: self._changed.add("elements"))
+        self._changed = {self._state}
+        for widget in (self._state, self._elements):
+            _on(widget.on_update, lambda event: self._changed.add(event.target))
 
     def refresh(self, seconds: float, until: float) -> None:
         """Draw the curves of so long up to a time in [s], anew where something else is chosen."""
@@ -81,7 +85,7 @@ class Chart:
     def _build(self, seconds: float, until: float) -> None:
         changed, self._changed = self._changed, set()
         layout, state, elements = self._shown.layout, self._state.value, self._elements
-        if "state" in changed:
+        if self._state in changed:
             elements.options = known = element_choices(layout, state)
             elements.value, elements.visible = known[0], len(known) > 1
         if self._chart is not None:
@@ -113,7 +117,6 @@ class Panel:
     Args:
         client: viser's handle.
         shown, history, scene: what is seen.
-        number: of the viewer.
         do: is told what the viewer does: `wheel`, `steer` (velocity), `estop`, `act` (name,
             arguments), `past` (time), `live`, `branch` (then); in a recording `seek` (time),
             `play`, `speed` (factor).
@@ -130,7 +133,6 @@ class Panel:
         shown: Shown,
         history: History,
         scene: Scene,
-        number: int,
         do: Callable[..., None],
         span: tuple[float, float] | None,
     ) -> None:
@@ -150,7 +152,7 @@ class Panel:
         self.time: Any = None
         self.play: Any = None
         if span is None:
-            self._live(gui, number)
+            self._live(gui)
         else:
             self._recorded(gui, span)
         with gui.add_folder("3D view", expand_by_default=False):
@@ -162,7 +164,7 @@ class Panel:
                 ("ghost of the targets", "ghost"),
             ):
                 box = gui.add_checkbox(label, getattr(scene, name))
-                _on(box.on_update, partial(self._switch, scene, name))
+                _on(box.on_update, partial(_switch, scene, name))
             gui.add_html(legend_html(bool(shown.robot.feet)))
         with gui.add_folder("running part of the graph", visible=bool(shown.graph)):
             self.graph = gui.add_html("")
@@ -234,7 +236,7 @@ class Panel:
 
     # -- parts ----------------------------------------------------------------------------------
 
-    def _live(self, gui: Any, number: int) -> None:
+    def _live(self, gui: Any) -> None:
         self.stop = self._button(gui, "E-STOP", "estop", "red", visible=False)
         shown = self._shown
         with gui.add_folder("Last minute"):
@@ -278,17 +280,11 @@ class Panel:
                 _on(group.on_click, lambda e: self._do("act", "skill", {"name": e.target.value}))
 
     def _offer(self, gui: Any, label: str, act: str) -> None:
-        button = gui.add_button(label, color="blue", visible=False)
-        self._offers.append(button)
-        _on(button.on_click, lambda _: self._do("act", act, {}))
+        self._offers.append(self._button(gui, label, "act", "blue", False, act, {}))
 
     def _plot(self, _: Any) -> None:
         self.plots.visible = opens = not self.plots.visible
         self._do("plots", self._wide if opens else -self._wide)
-
-    @staticmethod
-    def _switch(scene: Scene, name: str, event: Any) -> None:
-        setattr(scene, name, event.target.value)
 
     def _pushed(self, event: Any) -> None:
         velocity = [_PUSH * x for x in _PUSHES[event.target.value]]
@@ -298,9 +294,11 @@ class Panel:
         group = gui.add_button_group(" ", names)
         _on(group.on_click, lambda event: self._do("act", event.target.value, {}))
 
-    def _button(self, gui: Any, label: str, what: str, colour: str, visible: bool = True) -> Any:
+    def _button(
+        self, gui: Any, label: str, what: str, colour: str, visible: bool = True, *given: Any
+    ) -> Any:
         button = gui.add_button(label, color=colour, visible=visible)
-        _on(button.on_click, lambda _: self._do(what))
+        _on(button.on_click, lambda _: self._do(what, *given))
         return button
 
     def _slider(self, gui: Any, axis: str, hint: str, low: float, high: float) -> Any:
@@ -317,11 +315,10 @@ class Panel:
             name, parameter.value, min=parameter.low, max=parameter.high, step=0.01,
             hint=parameter.description,
         )  # fmt: skip
-
-        def change(_: Any) -> None:
-            self._do("act", "set_parameter", {"name": name, "value": number.value})
-
-        _on(number.on_update, change)
+        _on(
+            number.on_update,
+            lambda _: self._do("act", "set_parameter", {"name": name, "value": number.value}),
+        )
 
     def _recorded(self, gui: Any, span: tuple[float, float]) -> None:
         with gui.add_folder("Recording"):
@@ -337,12 +334,9 @@ def graph_html(graph: Sequence[GraphLine], counters: Sequence[int]) -> str:
     """Return the tree of the workflow, what runs in this tick in full colour."""
     lines = []
     for line in graph:
-        try:
-            runs = line.runs(list(counters))
-        except IndexError:
-            runs = True
-        look = "font-weight:600" if runs else "opacity:.65"
-        mark = "▸" if runs else "·"
+        look, mark = "opacity:.65", "·"
+        if line.runs(counters):
+            look, mark = "font-weight:600", "▸"
         lines.append(
             f'<div style="padding-left:{12 * line.depth}px;{look}">{mark} {escape(line.text)}</div>'
         )

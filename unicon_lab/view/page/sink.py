@@ -135,7 +135,6 @@ class Page:
                 continue
             try:
                 self._viewers[client.client_id] = Viewer(
-                    client.client_id + 1,
                     client,
                     self._shown,
                     self._history,

@@ -27,18 +27,20 @@ _TEXT = 1000  # characters of a heartbeat: a gamepad's name is the longest part
 _LONGEST = 0.15  # [s] that one picture counts: the first is the whole scene
 
 
+def _connection(server: Any, number: int) -> Any:
+    """Return the websocket of a client by its number, None where it has gone."""
+    return server._websock_server._live_connections.get(number)
+
+
 def opened(server: Any, client: Any) -> tuple[Mapping[str, str], str]:
     """Return headers and path of the request that opened a client's websocket."""
-    connection = server._websock_server._live_connections.get(client.client_id)
-    if connection is None or connection.request is None:
-        return {}, ""
-    return connection.request.headers, connection.request.path
+    request = getattr(_connection(server, client.client_id), "request", None)
+    return ({}, "") if request is None else (request.headers, request.path)
 
 
 def drop(server: Any, number: int) -> None:
     """Close the websocket of a client, by its number."""
-    connection = server._websock_server._live_connections.get(number)
-    if connection is not None:
+    if connection := _connection(server, number):
         asyncio.run_coroutine_threadsafe(connection.close(1008, "refused"), server.get_event_loop())
 
 
@@ -52,9 +54,7 @@ def guard(server: Any, refused: Callable[[Any], str]) -> None:
 
     async def look(connection: Any) -> None:
         if refused(connection):
-            await server._websock_server._live_connections[connection.client_id].close(
-                1008, "refused"
-            )
+            await _connection(server, connection.client_id).close(1008, "refused")
 
     server._websock_server.on_client_connect(look)
 
@@ -106,13 +106,13 @@ class PageConnection:
         uuids = {"stop": stop, "live": live, "beat": beat}
         uuids = {name: each and each._impl.uuid for name, each in uuids.items()}
         script = files(__package__).joinpath("script.js").read_text("utf-8")
-        self._connection.queue_message(
-            _messages.RunJavascriptMessage(source=f"const given = {json.dumps(uuids)};\n{script}")
-        )
+        self._execute(f"const given = {json.dumps(uuids)};\n{script}")
 
     def brief(self, said: list[Any]) -> None:
         """Show the run beside the e-stop: in words, whether badly, whether ended, how long ago."""
-        source = f"uniconPage.brief(...{json.dumps(said)})"
+        self._execute(f"uniconPage.brief(...{json.dumps(said)})")
+
+    def _execute(self, source: str) -> None:
         self._connection.queue_message(_messages.RunJavascriptMessage(source=source))
 
     @property
@@ -157,6 +157,8 @@ def state_of(text: str) -> AnyDict | None:
 # Between two of them, in [s]; of the charts one at a time.
 _TEXTS, _CHARTS, _PATH, _BRIEF = 0.25, 0.1, 0.2, 0.5
 
+_STILL = (0.0, 0.0, 0.0)
+
 # A page that needs longer for a picture, in [s], has as long to itself before the next one: its
 # buttons and its heartbeat come first. One picture is on its way at most, so that none is late.
 _QUICK = 0.06
@@ -166,7 +168,6 @@ class Viewer:
     """One browser.
 
     Args:
-        number: by which the others know it, from 1 on.
         client: viser's handle.
         shown, history, stage: the run; `stage` None where there is no model.
         remote, wheel: how it acts.
@@ -175,6 +176,7 @@ class Viewer:
         fps: pictures a second at most.
 
     Attributes:
+        number: by which the others know it, from 1 on.
         acts: numbers of its acts that have no answer yet.
         pictures: sent so far.
         ended: the run has ended.
@@ -183,7 +185,6 @@ class Viewer:
 
     def __init__(
         self,
-        number: int,
         client: Any,
         shown: Shown,
         history: History,
@@ -194,11 +195,11 @@ class Viewer:
         span: tuple[float, float] | None,
         fps: float,
     ) -> None:
-        self.number, self._client, self._shown = number, client, shown
+        self.number, self._client, self._shown = client.client_id + 1, client, shown
         self._remote, self._wheel, self._recorded = remote, wheel, recorded
         self._interval = 1.0 / fps
         self.acts, self.pictures, self._stops = set[int](), 0, 0
-        self._device = [0.0, 0.0, 0.0]
+        self._device = list(_STILL)
         self._said, self._dark, self._grips, self._stage = "", False, False, stage
         self._held, self._brief, self.ended = list[Any](), list[Any](), False
         self._drawn, self._history = np.inf, history
@@ -208,7 +209,7 @@ class Viewer:
         with client.atomic():
             self._aim(PANEL)
             self._scene = Scene(client.scene, stage)
-            self.panel = Panel(client, shown, history, self._scene, number, self._do, span)
+            self.panel = Panel(client, shown, history, self._scene, self._do, span)
             self.link = PageConnection(client, self._heard, self.panel.stop, self.panel.live)
             self.link.ask()
 
@@ -274,7 +275,7 @@ class Viewer:
         if tick is not None:
             panel.graph.content = graph_html(self._shown.graph, tick.counters.tolist())
         if self._wheel.driver != self.number:
-            panel.show_velocity((0.0, 0.0, 0.0))
+            panel.show_velocity(_STILL)
         if self._said:
             text, self._said = self._said, ""
             self.tell(text, False)
@@ -282,20 +283,18 @@ class Viewer:
     def _driver(self) -> str:
         if self._recorded is not None:
             return ""
-        driver, lost = self._wheel.driver, self._wheel.lost
+        driver = self._wheel.driver
         if driver == self.number:
             return "you drive"
+        who = self._wheel.lost or "nobody drives from a page"
         if driver is not None:
-            return f"viewer {driver} drives; you are viewer {self.number}"
-        nobody = lost or "nobody drives from a page"
-        return f"{nobody}; you are viewer {self.number}"
+            who = f"viewer {driver} drives"
+        return f"{who}; you are viewer {self.number}"
 
     def _is_due(self, what: str, interval: float, now: float) -> bool:
-        due = self._due.get(what, 0.0)
-        if now < due:
-            return False
-        self._due[what] = max(due + interval, now + 0.5 * interval)
-        return True
+        if is_due := now >= (due := self._due.get(what, 0.0)):
+            self._due[what] = max(due + interval, now + 0.5 * interval)
+        return is_due
 
     # -- in the server's thread -----------------------------------------------------------------
 
@@ -359,11 +358,11 @@ class Viewer:
                 wheel.let_go(self.number)
             else:
                 self._said = wheel.take(self.number, now) or self._said
-                self.panel.show_velocity((0.0, 0.0, 0.0))
+                self.panel.show_velocity(_STILL)
             self._due["texts"] = 0.0
         elif what == "zero":
-            wheel.steer(self.number, (0.0, 0.0, 0.0), now)
-            self.panel.show_velocity((0.0, 0.0, 0.0))
+            wheel.steer(self.number, _STILL, now)
+            self.panel.show_velocity(_STILL)
         elif what == "steer":
             wheel.steer(self.number, given[0], now)
         elif what == "act":
