@@ -39,7 +39,7 @@ from unicon_hardware.peripherals.webxr.webxr import (
 from unicon_ros.peripheral_process import SLICE, Feed, end, serve
 from unicon_ros.web_front import netloc, refusal
 
-_DAYS = 800
+_DAY = datetime.timedelta(days=1)
 
 
 def certificate(host: str) -> Path:
@@ -60,8 +60,18 @@ def certificate(host: str) -> Path:
     if folder is None:
         raise UniconError("webxr: no home to keep a certificate in; set XDG_STATE_HOME")
     path = folder / "certificate.pem"
+    names = [x509.DNSName("localhost"), x509.DNSName(socket.gethostname() or "robot")]
+    for address in dict.fromkeys(("127.0.0.1", host)):
+        try:
+            names.append(x509.IPAddress(ipaddress.ip_address(address)))
+        except ValueError:
+            names.append(x509.DNSName(address))
+    now = datetime.datetime.now(datetime.timezone.utc)
     with suppress(OSError, ValueError, x509.ExtensionNotFound):
-        if path.stat().st_mode & 0o077 == 0 and _serves(path, host):
+        found = x509.load_pem_x509_certificate(path.read_bytes())
+        served = found.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        private = path.stat().st_mode & 0o077 == 0
+        if private and now < found.not_valid_after_utc - _DAY and set(names) <= set(served):
             return path
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -69,52 +79,30 @@ def certificate(host: str) -> Path:
         fresh.unlink(missing_ok=True)
         file = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with os.fdopen(file, "wb") as out:
-            out.write(_made(host))
+            out.write(_made(names, now))
         fresh.rename(path)
     except OSError as error:
         raise UniconError(f"webxr: {path}: {error.strerror}; make the folder writable") from error
     return path
 
 
-def _names(host: str) -> list[Any]:
-    from cryptography import x509
-
-    names = [x509.DNSName("localhost"), x509.DNSName(socket.gethostname() or "robot")]
-    for address in dict.fromkeys(("127.0.0.1", host)):
-        try:
-            names.append(x509.IPAddress(ipaddress.ip_address(address)))
-        except ValueError:
-            names.append(x509.DNSName(address))
-    return names
-
-
-def _serves(path: Path, host: str) -> bool:
-    from cryptography import x509
-
-    found = x509.load_pem_x509_certificate(path.read_bytes())
-    names = found.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-    until = found.not_valid_after_utc - datetime.timedelta(days=1)
-    now = datetime.datetime.now(datetime.timezone.utc)
-    return now < until and set(_names(host)) <= set(names)
-
-
-def _made(host: str) -> bytes:
+def _made(names: list[Any], now: datetime.datetime) -> bytes:
+    """Return a new key, and its certificate for these names from now on."""
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes, serialization
     from cryptography.hazmat.primitives.asymmetric import ec
 
     key = ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "unicon webxr")])
-    now = datetime.datetime.now(datetime.timezone.utc)
     made = (
         x509.CertificateBuilder()
         .subject_name(name)
         .issuer_name(name)
         .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
-        .not_valid_before(now - datetime.timedelta(days=1))
-        .not_valid_after(now + datetime.timedelta(days=_DAYS))
-        .add_extension(x509.SubjectAlternativeName(_names(host)), critical=False)
+        .not_valid_before(now - _DAY)
+        .not_valid_after(now + 800 * _DAY)
+        .add_extension(x509.SubjectAlternativeName(names), critical=False)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .sign(key, hashes.SHA256())
     )
@@ -155,6 +143,7 @@ PATIENCE = 1.0
 """A headset that is silent for so long gives way to another, in [s]."""
 
 HEADERS = {
+    "Connection": "close",
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'self'; style-src 'unsafe-inline'; img-src data:",
     "X-Content-Type-Options": "nosniff",
@@ -221,9 +210,7 @@ class WebXr:
         """Return where it is served."""
         port = self._server.sockets[0].getsockname()[1]
         address = f"{'https' if self._tls else 'http'}://{netloc(self._host, port)}/"
-        line = (
-            f"{self._feed.name}: open {address}{'?token=…' if self._token else ''} in the headset"
-        )
+        line = f"{self._feed.name}: open {address}{'?token=…' * bool(self._token)} in the headset"
         if self._path is not None:
             line += f"; the certificate is our own, SHA-256 {fingerprint(self._path)}"
         self._feed.tell(line)
@@ -254,11 +241,8 @@ class WebXr:
         if url.path not in self._pages:
             return connection.respond(HTTPStatus.NOT_FOUND, "There is only the page at /.\n")
         body, kind = self._pages[url.path]
-        headers = Headers(HEADERS)
-        headers["Content-Type"] = f"{kind}; charset=utf-8"
-        headers["Content-Length"] = str(len(body))
-        headers["Connection"] = "close"
-        return Response(HTTPStatus.OK, "OK", headers, body)
+        about = {"Content-Type": f"{kind}; charset=utf-8", "Content-Length": str(len(body))}
+        return Response(HTTPStatus.OK, "OK", Headers(HEADERS | about), body)
 
     async def _session(self, connection: ServerConnection) -> None:
         """Hear a headset until it leaves."""
@@ -337,7 +321,7 @@ class WebXr:
             if stamp is None:
                 return
             late = 1e-9 * (now - stamp)
-            if late > self._stale or late < -self._stale:
+            if abs(late) > self._stale:
                 raise Refused("too late")
         except Refused as why:
             self._refuse(str(why))
@@ -350,18 +334,14 @@ class WebXr:
     def _tell(self, frame: Frame, stamp: int, late: float) -> None:
         name = self._feed.name
         told: AnyDict = {
-            f"{name}_{part}": frame.poses[at if at.stop - at.start > 1 else at.start]
+            part: frame.poses[at if at.stop - at.start > 1 else at.start]
             for part, at in PARTS.items()
         }
         for row, side in enumerate(("left", "right")):
-            told[f"{name}_{side}_buttons"] = frame.buttons[row]
-            told[f"{name}_{side}_axes"] = frame.axes[row]
-        told[f"{name}_valid"] = frame.valid
-        told[f"{name}_latency"] = late
-        told[f"{name}_number"] = frame.number
-        told[f"{name}_missed"] = self._missed
-        told[f"{name}_refused"] = self._refused
-        self._feed.publish(stamp, **told)
+            told |= {f"{side}_buttons": frame.buttons[row], f"{side}_axes": frame.axes[row]}
+        told |= {"valid": frame.valid, "latency": late, "number": frame.number}
+        told |= {"missed": self._missed, "refused": self._refused}
+        self._feed.publish(stamp, **{f"{name}_{word}": value for word, value in told.items()})
 
     def _refuse(self, why: str) -> None:
         self._refused += 1
