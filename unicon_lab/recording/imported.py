@@ -16,6 +16,7 @@ import numpy as np
 
 from unicon_base import UniconError, alternatives, cannot, one_line
 from unicon_base.arrays import Array, Float64, Int64
+from unicon_base.located_yaml import read_yaml
 from unicon_core.blocks.maps import projected_gravity
 from unicon_core.page import ROOM, refuse_existing
 from unicon_core.platforms.kit.base import quat_of_rpy
@@ -128,20 +129,7 @@ def _ticks(
         yield bytes(row)
 
 
-KEYS = {
-    "states_q": "joint_pos",
-    "states_qd": "joint_vel",
-    "states_q_tau": "joint_effort",
-    "states_q_ctrl": "joint_pos_target",
-    "states_tau_ctrl": "joint_effort_ff",
-    "states_q_temp": "motor_temperature",
-    "states_quat": "base_quat",
-    "states_ang_vel": "base_ang_vel",
-    "states_lin_acc": "base_lin_acc",
-    "states_lin_vel": "base_lin_vel",
-    "states_pos": "base_pos_w",
-    "states_cmd": "velocity_command",
-}
+KEYS: Mapping[str, str] = read_yaml(Path(__file__).with_name("unicon_keys.yaml")).value
 """Key of UniCon to our state. `states_rpy` counts where there is no quaternion."""
 
 NAMES = ("joint_names", "dof_names", "DOF_NAMES")

@@ -11,8 +11,10 @@ import math
 import struct
 import zlib
 from collections.abc import Mapping
+from pathlib import Path
 from typing import NamedTuple
 
+from unicon_base.located_yaml import read_yaml
 from unicon_hardware.wire import frame_type
 
 HEAD = 36
@@ -41,27 +43,11 @@ REQUEST, ACK = 0, 1
 _HOST, _LIDAR = 0, 1
 CONFIGURE, INQUIRE = 0x0100, 0x0101
 
-STATES = {
-    1: "sampling",
-    2: "idle",
-    4: "error",
-    5: "self-check",
-    6: "motor starting",
-    8: "upgrade",
-    9: "ready",
-}
+_WORDS = read_yaml(Path(__file__).with_name("words.yaml")).value
+STATES: Mapping[int, str] = _WORDS["states"]
 """Of a scanner, key 0x8006."""
 
-RETURNS = {
-    0x01: "failed",
-    0x02: "not in its present state",
-    0x03: "value out of range",
-    0x20: "parameter not supported",
-    0x21: "takes effect after a reboot",
-    0x22: "parameter is read-only",
-    0x23: "wrong length",
-    0x24: "wrong number of keys",
-}
+RETURNS: Mapping[int, str] = _WORDS["returns"]
 
 
 class Refused(Exception):

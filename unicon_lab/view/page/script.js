@@ -83,13 +83,9 @@ if (!page.ready) {
   document.head.append(style);
   const bar = document.createElement("div");
   bar.id = "unicon-bar";
-  const button = document.createElement("button");
-  button.id = "unicon-estop";
-  const status = document.createElement("div");
-  status.id = "unicon-status";
-  const past = document.createElement("button");
-  past.id = "unicon-past";
-  past.title = "Shows the past: click for the present";
+  bar.innerHTML = `<button id="unicon-estop"></button><div id="unicon-status"></div>
+    <button id="unicon-past" title="Shows the past: click for the present"></button>`;
+  const [button, status, past] = bar.children;
   past.onclick = () => send(page.live, true);
   page.brief = (text, fault, over, ago) => {
     status.textContent = text;
@@ -102,7 +98,6 @@ if (!page.ready) {
     send(page.stop, true);
     page.look();
   };
-  bar.append(button, status, past);
   document.body.append(bar);
   page.look = () => {
     const hears = alive(), views = [...document.querySelectorAll("canvas")];
