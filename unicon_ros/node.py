@@ -37,8 +37,7 @@ from unicon_ros.attachments import Asked, Attachment, attached, said_at_end
 from unicon_ros.bridge import RosSession
 from unicon_ros.bridge.diagnostics import Diagnostics
 from unicon_ros.bridge.estop import FAULT, STOP_SERVICES, EmergencyStop, latch_of
-from unicon_ros.bridge.own_node import NodeLog
-from unicon_ros.bridge.services import Answer, add_services, explained
+from unicon_ros.bridge.own_node import Answer, NodeLog, add_services, explained
 from unicon_ros.parameter_table import SERVICES
 from unicon_ros.parameters import Parameters, Tuning
 

@@ -43,7 +43,9 @@ LAUNCH: dict[str, tuple[str, str]] = {name: tuple(row) for name, row in _TABLE["
 """Argument of the launch file, besides these, to default and description."""
 SERVICES: dict[str, str] = _TABLE["services"]
 """Each `~/<name>` of type std_srvs/srv/Trigger, and what it does."""
-RANGES: dict[str, list[float]] = _TABLE["ranges"]
+RANGES: dict[str, tuple[float, float]] = {
+    name: tuple(ends) for name, ends in _TABLE["ranges"].items()
+}
 """Smallest and largest value of a number."""
 SCALES = ("stiffness_scale", "damping_scale")
 LIMITS = ("max_vx", "max_vy", "max_wz")

@@ -93,7 +93,7 @@ def test_a_build_that_raises_leaves_the_node_unconfigured(
 def test_a_service_that_raises_answers_with_the_reason() -> None:
     from std_srvs.srv import Trigger
 
-    from unicon_ros.bridge.services import add_services
+    from unicon_ros.bridge.own_node import add_services
 
     made: list[Any] = []
     node = SimpleNamespace(

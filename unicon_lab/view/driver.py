@@ -26,7 +26,8 @@ from unicon_core.workflow import HookBlocks, Program
 from unicon_core.workflow.flow_yaml import skills_of
 from unicon_lab.view.shown import DEAD_MAN, DRIVING, GIVEN_BACK, pushable
 from unicon_ros.bridge.bindings import told_states
-from unicon_ros.bridge.services import Answer, Controls
+from unicon_ros.bridge.own_node import Answer
+from unicon_ros.bridge.services import Controls
 from unicon_ros.parameter_table import RANGES
 from unicon_ros.parameters import Tuning
 from unicon_ros.peripheral import short

@@ -20,7 +20,7 @@ from unicon_base import EmergencyStopPressed, TextSink, UniconError
 from unicon_core.flow import Block
 from unicon_core.latches import ESTOP, PATIENCE, Latch, clearing
 from unicon_ros import compat
-from unicon_ros.bridge.services import Answer, add_services, explained
+from unicon_ros.bridge.own_node import Answer, add_services, explained
 
 STOP_SERVICES = ("estop", "clear_estop")
 """Names of the services, each `~/<name>` of type std_srvs/srv/Trigger."""

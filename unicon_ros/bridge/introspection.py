@@ -28,8 +28,8 @@ from unicon_msgs_map.layout.messages import shared_messages
 from unicon_msgs_map.layout.paths import PathError, Reference, parse_path, parse_reference
 from unicon_ros import compat
 from unicon_ros.bridge.bindings import names_of
+from unicon_ros.bridge.own_node import Answer
 from unicon_ros.bridge.qos import LATCHED, qos_profile
-from unicon_ros.bridge.services import Answer
 from unicon_ros.bridge.topics import TopicIn, TopicOut
 from unicon_ros.parameter_table import INTROSPECTION, declare
 

@@ -17,7 +17,7 @@ import os
 import re
 import select
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,9 @@ from unicon_base.resources import find_config
 from unicon_core.non_blocking_writer import NonBlockingWriter
 from unicon_ros import compat
 from unicon_ros.process_exit import exit_watchdog
+
+Answer = tuple[bool, str]
+"""Of a service: success, and a line for the caller."""
 
 TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
@@ -246,3 +249,35 @@ class NodeLog:
             self._logger.warning(text)
         else:
             self._logger.error(text)
+
+
+def add_services(
+    node: Any, handlers: dict[str, Callable[[], Answer]], warn: Callable[[str], object]
+) -> list[Any]:
+    """Create `~/<name>` of type std_srvs/srv/Trigger for each handler; return the services.
+
+    A handler that raises is answered with the reason: a mistake of ours must not end a node.
+    """
+    from std_srvs.srv import Trigger
+
+    def callback(name: str, handler: Callable[[], Answer]) -> Callable[[Any, Any], Any]:
+        def answer(_: Any, response: Any) -> Any:
+            try:
+                response.success, response.message = handler()
+            except Exception as error:
+                response.success, response.message = False, f"~/{name} failed: {explained(error)}"
+                warn(response.message)
+            return response
+
+        return answer
+
+    return [
+        node.create_service(Trigger, f"~/{name}", callback(name, handler))
+        for name, handler in handlers.items()
+    ]
+
+
+def explained(error: BaseException) -> str:
+    """Return an unexpected exception as one line: its kind and what it says."""
+    text = " ".join(str(error).split())
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__

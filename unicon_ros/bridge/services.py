@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from unicon_base import TextSink
 from unicon_core.blocks.controls.modes import Skills
@@ -20,12 +20,8 @@ from unicon_core.workflow import Program
 from unicon_core.workflow.flow_yaml import skills_of
 from unicon_core.workflow.policies import shadowed_in
 from unicon_ros import compat
-
-if TYPE_CHECKING:
-    from unicon_ros.bridge.estop import EmergencyStop
-
-Answer = tuple[bool, str]
-"""Success, and a line for the caller."""
+from unicon_ros.bridge.estop import EmergencyStop
+from unicon_ros.bridge.own_node import Answer
 
 
 class Controls:
@@ -141,32 +137,6 @@ class Controls:
         self.paused = False
 
 
-def add_services(
-    node: Any, handlers: dict[str, Callable[[], Answer]], warn: Callable[[str], object]
-) -> list[Any]:
-    """Create `~/<name>` of type std_srvs/srv/Trigger for each handler; return the services.
-
-    A handler that raises is answered with the reason: a mistake of ours must not end a node.
-    """
-    from std_srvs.srv import Trigger
-
-    def callback(name: str, handler: Callable[[], Answer]) -> Callable[[Any, Any], Any]:
-        def answer(_: Any, response: Any) -> Any:
-            try:
-                response.success, response.message = handler()
-            except Exception as error:
-                response.success, response.message = False, f"~/{name} failed: {explained(error)}"
-                warn(response.message)
-            return response
-
-        return answer
-
-    return [
-        node.create_service(Trigger, f"~/{name}", callback(name, handler))
-        for name, handler in handlers.items()
-    ]
-
-
 def skill_handlers(program: Program, runs: Callable[[], bool]) -> dict[str, Callable[[], Answer]]:
     """Return `skills/NAME` for each skill of a workflow, which asks for it.
 
@@ -187,12 +157,6 @@ def skill_handlers(program: Program, runs: Callable[[], bool]) -> dict[str, Call
         return ask
 
     return {} if skills is None else {f"skills/{n}": asking(skills, n) for n in skills.names}
-
-
-def explained(error: BaseException) -> str:
-    """Return an unexpected exception as one line: its kind and what it says."""
-    text = " ".join(str(error).split())
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 INTERVAL_NS = 40_000_000

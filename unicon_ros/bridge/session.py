@@ -39,10 +39,10 @@ from unicon_ros.bridge.diagnostics import CLOCK, Diagnostics, Neighbours
 from unicon_ros.bridge.estop import STOP_SERVICES, EmergencyStop
 from unicon_ros.bridge.introspection import Introspection
 from unicon_ros.bridge.map_fit import contested_states, installing, message_class
-from unicon_ros.bridge.own_node import OwnNode, calm_middleware_threads
+from unicon_ros.bridge.own_node import OwnNode, add_services, calm_middleware_threads
 from unicon_ros.bridge.robot_frames import RobotFrames
 from unicon_ros.bridge.ros_platform import RosPlatform
-from unicon_ros.bridge.services import Controls, SlackServer, add_services, skill_handlers
+from unicon_ros.bridge.services import Controls, SlackServer, skill_handlers
 from unicon_ros.bridge.topics import TopicIn, TopicOut
 from unicon_ros.parameter_table import SERVICES
 
