@@ -71,9 +71,9 @@ class Chart:
             first = first if first in known else NONE
             self._state = gui.add_dropdown("plot", known, initial_value=first)
             self._elements = gui.add_dropdown("of", (ALL,), visible=False)
-        self._changed = {self._state}
-        for widget in (self._state, self._elements):
-            _on(widget.on_update, lambda event: self._changed.add(event.target))
+        self._changed = {"state"}
+        _on(self._state.on_update, lambda _: self._changed.add("state"))
+        _on(self._elements.on_update, lambda _: self._changed.add("elements"))
 
     def refresh(self, seconds: float, until: float) -> None:
         """Draw the curves of so long up to a time in [s], anew where something else is chosen."""
@@ -85,7 +85,7 @@ class Chart:
     def _build(self, seconds: float, until: float) -> None:
         changed, self._changed = self._changed, set()
         layout, state, elements = self._shown.layout, self._state.value, self._elements
-        if self._state in changed:
+        if "state" in changed:
             elements.options = known = element_choices(layout, state)
             elements.value, elements.visible = known[0], len(known) > 1
         if self._chart is not None:
