@@ -11,7 +11,6 @@ import json
 import math
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Any
 
 from unicon_base import AnyDict
 from unicon_core.bounds import BUTTONS
@@ -85,8 +84,8 @@ def _states_of(group: str, joint_names: Sequence[str] = ()) -> dict[str, StateSp
     for name, said in _TABLE[group].items():
         values: AnyDict = {k: tuple(x) if isinstance(x, list) else x for k, x in said.items()}
         if "names" in values:
-            names: Any = values["names"]
-            values["names"] = tuple(known.get(names, names))
+            names = values["names"]
+            values["names"] = tuple(known[names] if isinstance(names, str) else names)
             values["shape"] = (len(values["names"]),)
         found[name] = StateSpec(**values)
     return found
