@@ -34,6 +34,15 @@ def test_engaging_moves_nothing_wherever_the_hand_is() -> None:
     np.testing.assert_allclose(operator.target(), OURS, atol=1e-6)
 
 
+def test_a_clutch_closes_beyond_0_6_and_opens_below_0_4() -> None:
+    operator = Operator()
+    operator.controller()
+    for pressed, engaged in ((0.55, False), (0.65, True), (0.45, True), (0.35, False)):
+        operator.press(pressed)
+        operator.go(50)
+        assert operator.engaged() == engaged, pressed
+
+
 def test_the_hand_follows_in_the_axes_in_which_the_operator_looks_ahead() -> None:
     operator = Operator(max_speed=5.0, max_turn=20.0)
     quarter = turned((0.0, 0.0, 1.0), math.pi / 2)

@@ -272,8 +272,8 @@ class OperatorHand:
             self._smooth.reset()
 
 
-PRESSED = 0.5
-"""How far a button is pressed that counts, 0 to 1."""
+HELD_DOWN = 0.5
+"""How far a button is pressed that a state of controls counts, 0 to 1."""
 
 # Side to the controller's button and ours.
 _BUTTONS: Mapping[str, Mapping[str, str]] = {
@@ -344,7 +344,7 @@ class HeadsetControls:
                 continue
             self._sticks[x], self._sticks[y] = _share(axes[across]), -_share(axes[along])
             for button, element in zip(theirs, ours):
-                self._buttons[element] = pressed[button] > PRESSED
+                self._buttons[element] = pressed[button] > HELD_DOWN
 
     def reset(self) -> None:
         """Let go of what was pressed before."""
