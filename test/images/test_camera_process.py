@@ -202,7 +202,7 @@ def test_a_best_effort_subscriber_hears_a_default_camera_and_a_stalled_one_stops
     ("more", "message"),
     [
         ("handle: front", r"camera: handle 'front'; give NAME_handle, such as front_handle"),
-        ("stale: 0.0", r"block 'call': stale is 0\.0; write a number above 0 to 10 \[s\]"),
+        ("stale: 0.0", r"block 'camera': stale is 0\.0; write a number above 0 to 10 \[s\]"),
         pytest.param("topic: 'a b'", r"topic 'a b': ", marks=pytest.mark.slow),
     ],
 )

@@ -586,7 +586,7 @@ ROWS = [
         "platforms/child/pipe.py",
         CHILD,
         ("Pipe.close", "process.kill()", "pass"),
-        ("Pipe.close", "process.stdin.close()", "pass"),
+        ("Pipe.close", "self._into.close()", "pass"),
     ),
     *_rows(
         "platforms/child/process.py",
@@ -679,7 +679,7 @@ ROWS = [
         REACHED,
         ("Target.__call__", "abs(length - 1.0) <= _UNIT", "True"),
         ("Target.__call__", "not all(map(math.isfinite, velocity))", "False"),
-        ("Target.__call__", "self._look_ahead + max(age, 0.0)", "self._look_ahead + age"),
+        ("Target.__call__", "self.look_ahead + max(age, 0.0)", "self.look_ahead + age"),
     ),
     *_rows(
         "unicon_manipulation/reach.py",
