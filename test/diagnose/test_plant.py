@@ -25,7 +25,7 @@ from unicon_core.states.standard import COMMAND_STATES
 from unicon_lab.diagnose.fit import Fit, Parameter, overlay_text
 from unicon_lab.diagnose.motion import BASE_ANSWERS, Motion
 from unicon_lab.diagnose.plant import KINDS, Change, Place
-from unicon_lab.diagnose.replays import Replays
+from unicon_lab.diagnose.replays import Replays, derivatives
 from unicon_lab.diagnose.search import Found, Search
 from unicon_lab.diagnose.windows import Likelihood, Settled
 
@@ -201,6 +201,41 @@ def test_a_small_turn_of_the_imu_is_reported() -> None:
     assert found.change["attitude y", -1] == pytest.approx(0.008, abs=0.003)
 
 
+def test_sensors_are_tried_with_large_errors_both_ways() -> None:
+    def run(changes: Sequence[Change], begins: Sequence[Float64]) -> list[Float64]:
+        return [np.full((1, 2, 3), sum(change.values()) ** 3) for change in changes]
+
+    places: list[Place] = [("gyro bias z", -1), ("payload", -1)]
+    found = derivatives(
+        places, np.zeros(1, np.int64), cast(Any, run), np.zeros(3), np.zeros((1, 2, 3))
+    )
+    sizes = {
+        place: [float(each.mean()) ** 0.5 for each in slopes] for place, slopes in found.items()
+    }
+    far = KINDS["gyro bias z"].far
+    assert far >= 8.0 * KINDS["gyro bias z"].step
+    assert sizes == {places[0]: pytest.approx([0.05, far, far]), places[1]: pytest.approx([2.0])}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("place", "size"), [(("encoder offset", FR_THIGH), 0.25), (("gyro bias z", -1), -0.6)]
+)
+def test_a_large_error_of_a_sensor_is_found(place: Place, size: float) -> None:
+    """Windows that begin so far off answer nothing like a derivative says."""
+    states, period = states_of("go2_walk", {"scene.noise": NOISE}, seconds=6.0)
+    changed = ("joint_pos", "joint_pos_target") if place[1] >= 0 else ("base_ang_vel",)
+    for name in changed:
+        states[name][:, max(place[1], 2 * (place[1] < 0))] += size
+    it = Motion.of(
+        without_velocity(states), period, np.ones(len(states["tick"]), np.bool_), most=20
+    )
+    others = [("payload", -1), ("friction", CALF), ("centre of mass y", -1)]
+    found = searched(it, [place, *others])
+    assert [one for one, _ in found.causes] == [place]
+    assert found.change[place] == pytest.approx(size, abs=0.05)
+
+
 def test_a_gyroscope_reads_in_the_axes_of_its_mount() -> None:
     states, period = states_of("go2_walk", {}, seconds=13.0)
     half, every = 0.15, np.arange(len(states["tick"])) > 500  # it walks a bend
@@ -256,7 +291,6 @@ def test_what_a_healthy_robot_has_otherwise_is_no_cause(tmp_path: Path) -> None:
         limbs = replays.plant.limbs
         reference = Search(healthy, places, limbs, replays, print)
         assert reference.go().change["strength", -1] == pytest.approx(-0.1, abs=0.05)
-        reference.rest()
 
     def found(it: Motion) -> Found:
         with Replays(GO2, Scene(), it, 1) as replays:

@@ -121,7 +121,6 @@ def searched(
     with Replays(robot, scene, healthy, processes_of(processes), progress) as replays:
         search = Search(healthy, places, replays.plant.limbs, replays, tell, most=MOST_REFERENCE)
         search.go()
-        search.rest()
     return search
 
 

@@ -242,8 +242,10 @@ class Part:
 
 def derivatives(
     places: Sequence[Place], limbs: Int64, run: Run, begins: Float64, now: Float64
-) -> dict[Place, Float64]:
+) -> dict[Place, list[Float64]]:
     """Return derivatives of windows' answers by places of a plant, shape (w, l, m) each.
+
+    The first of a place is that by `step_of`, others are differences over `Kind.far` both ways.
 
     Args:
         places: by which.
@@ -252,7 +254,7 @@ def derivatives(
         begins: of these, as of `Plant.replayed`.
         now: their answers without a change.
     """
-    found: dict[Place, Float64] = {}
+    found: dict[Place, list[Float64]] = {}
     together: dict[tuple[str, int], list[Place]] = {}
     for kind, joint in places:
         turn = joint if joint < 0 else int((limbs[:joint] == limbs[joint]).sum())
@@ -266,5 +268,9 @@ def derivatives(
             if len(group) > 1:
                 own[len(limbs) :] = False
                 own[: len(limbs)] = limbs == limbs[place[1]]
-            found[place] = (each - now) / step * own
+            found[place] = [(each - now) / step * own]
+    far = [(p, sign * size) for p in places if (size := KINDS[p[0]].far) for sign in (1.0, -1.0)]
+    moved = run([{place: size} for place, size in far], [begins] * len(far))
+    for (place, size), each in zip(far, moved):
+        found[place].append((each - now) / size)
     return found

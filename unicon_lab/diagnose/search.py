@@ -33,8 +33,8 @@ SAME = 0.99
 """Cosine between derivatives from which two changes count as alike: their steps are finite."""
 DAMPING = ("damping", -1), ("viscous friction", -1)
 """Changes that are the same where all joints have the same gain: a motor brakes as a bearing."""
-MOST = 4
-"""Causes of one record."""
+MOST, MOST_REFERENCE = 4, 6
+"""Causes of one record, and changes of a reference."""
 HOPE = 3.0
 """What a fit by derivatives promises is exceeded by at most so much."""
 ENOUGH = 36
@@ -47,19 +47,14 @@ HALF = 0.5
 HOPELESS = 8.0
 """Log odds by which a candidate may lag behind what it needs, and is followed still."""
 BESIDE = 0.03
-"""Share of the square error that found causes explain, which the next one has to explain too: less
-may be what noise at the beginning of windows biases them by."""
-OF_REFERENCE = 0.1
-"""Share of the square error that a reference's change explains, which each cause has to explain:
-what the simulator lacks depends on the cause a little."""
+"""Share of the square error that found causes explain, and beside a reference of all of it, which
+the next one has to explain too: less may be noise. In healthy walks in PyBullet the best explained
+up to 0.01."""
 CALMER, OF_LEFT = 0.8, 0.15
 """In a record of which less is to explain than this part of what a reference leaves, a cause has to
-explain this share of that: PyBullet's contacts seemed to be friction in one of 22 healthy walks,
-with 0.12 at 0.7."""
+explain this share of that: one of 22 healthy walks in PyBullet seemed to have friction."""
 UNSURE = 0.5
 """Standard deviation of a reference's share of a size, as a part of it; the share is taken off."""
-MOST_REFERENCE = 6
-"""Changes of a reference."""
 BIAS_FOUND = 0.03
 """As of `Kind.bias` where velocities at the beginning of windows were found: walks of a Go2 gave
 3.91 kg for 4, -0.299 for -0.3 and 7.97 ms for 8."""
@@ -161,10 +156,10 @@ class Search:
         count = len(motion.starts)
         self._some = np.arange(count) % (1 + (count >= ENOUGH)) == 0
         self._limbs = limbs
-        self._slopes: dict[Place, Float64]
+        self._slopes: dict[Place, list[Float64]]
         self._few: Settled
+        self._small = set[Place]()
         self.found = Found()
-        self._explained = 0.0
 
     def go(self) -> Found:
         """Search to the end; `found` has what there is when it is interrupted."""
@@ -184,8 +179,11 @@ class Search:
             followed = self._followed(at, now[self._some])
             if not followed or followed[0].odds < CLEAR - HOPELESS:
                 break
-            rivals, others = self._rivals(followed)
             leader, seemed = followed[0], followed[0].odds
+            near = NEAR * (leader.log - self._few_level)
+            # Contacts hide which of those that come near is right.
+            rivals = [one for one in followed[:RIVALS] if one.log - self._few_level >= near]
+            others = [one for one in followed if one not in rivals]
             for one in rivals:
                 refined = self._windows.refined(one.change)
                 one.change, one.answers, one.begins, one.fitted, one.log = refined
@@ -193,18 +191,18 @@ class Search:
             for one in others:  # they stay behind the first one
                 one.odds += leader.odds - seemed
             followed += others
-            if followed[0].odds < CLEAR or not self._matters(followed[0]):
-                break
             best = followed[0]
             assert best.fitted is not None
+            if best.odds < CLEAR:
+                break
             error = self._error(now)
             less = error - self._error(best.answers, best.begins)
-            least = OF_REFERENCE * reference._explained if reference else 0.0
+            least = BESIDE * (whole if reference else whole - error)
             if reference and whole < CALMER * reference.left:
                 least = max(least, OF_LEFT * reference.left)
-            least = max(BESIDE * (whole - error), least)
-            if least and less < least:
-                break
+            if not self._matters(best) or (least and less < least):
+                self._small.add(best.place)  # it may hide one that is larger
+                continue
             alike = [each.place for each in followed[1:] if best.odds - each.odds < ALIKE]
             alike += [place for place in self._like(best) if place not in alike]
             found.causes.append((best.place, alike))
@@ -214,17 +212,19 @@ class Search:
             found.probability[best.place] = float(weights[its].sum() / (weights.sum() + none))
             found.shown[best.place] = self._shown(now, best.answers)
             at = best.change
+            self._small.clear()
             now = self._windows.begun(at)
             found.after = self._square(now)
             bias = np.array([KINDS[kind].bias for kind, _ in at])
             bias = np.maximum(bias, BIAS_FOUND) if self.motion.sought else bias
-            biased = bias * np.array(list(at.values()))
-            rounded = self._run.step * np.array([0.06 * KINDS[kind].stepped for kind, _ in at])
-            variance = self._wider**2 * (np.diag(best.fitted.spread) + biased**2) + rounded**2
-            known = reference.found.deviation if reference else {}
-            variance += np.array([known.get(place, 0.0) / 1.96 for place in at]) ** 2
             sizes = np.array(list(at.values()))
+            rounded = self._run.step * np.array([0.06 * KINDS[kind].stepped for kind, _ in at])
+            variance = (
+                self._wider**2 * (np.diag(best.fitted.spread) + (bias * sizes) ** 2) + rounded**2
+            )
             if reference:
+                known = reference.found.deviation
+                variance += np.array([known.get(place, 0.0) / 1.96 for place in at]) ** 2
                 lacking = reference.lacking(list(at))
                 sizes -= lacking.size
                 variance += np.diag(lacking.spread) + (UNSURE * lacking.size) ** 2
@@ -241,30 +241,15 @@ class Search:
                 found.after = self._square(now)
             self.left = self._error(now)
             self._few = self._windows.part(self._some, now)
-            self._explained = whole - self.left
+        self._left = self._few.left(now[self._some])
         found.complete = True
         return found
 
-    def rest(self) -> None:
-        """Keep what the search has left of a healthy motion, for `lacking`."""
-        now = self._windows.begun(self.found.change)
-        self._few = self._windows.part(self._some, now)
-        self._left = self._few.left(now[self._some])
-
     def lacking(self, places: Sequence[Place]) -> Fitted:
-        """Return what changes of places would explain of what `rest` kept."""
+        """Return what changes of places would explain of what this search has left."""
         usual = np.array([KINDS[kind].usual for kind, _ in places])
-        slopes = np.stack([self._slopes[place] for place in places], axis=-1)
+        slopes = np.stack([self._slopes[place][0] for place in places], axis=-1)
         return self._few.likelihood.fit(self._left, slopes, usual)
-
-    def _rivals(self, followed: Sequence[Candidate]) -> tuple[list[Candidate], list[Candidate]]:
-        """Return the best candidate with those that come near it, and all others.
-
-        Contacts hide which is right.
-        """
-        near = NEAR * (followed[0].log - self._few_level)
-        rivals = [one for one in followed[:RIVALS] if one.log - self._few_level >= near]
-        return rivals, [one for one in followed if one not in rivals]
 
     def _judged(
         self, followed: Sequence[Candidate], log: float, share: float = 1.0
@@ -275,8 +260,17 @@ class Search:
         best = max(followed, key=lambda one: one.log)
         kappa = share * max(best.fitted.kappa if best.fitted else 1.0, 1.0) * self._wider**2
         for one in followed:
-            one.odds = (one.log - log) / kappa + self._price(one.place)
+            own = self._beyond_reference(one)
+            one.odds = own * (one.log - log) / kappa + self._price(one.place)
         return sorted(followed, key=lambda one: -one.odds)
+
+    def _beyond_reference(self, one: Candidate) -> float:
+        """Return the part of a gain above that of a change which a reference has: a parabola's."""
+        size = one.change[one.place]
+        if self._reference is None or not size:
+            return 1.0
+        lacking = float(self._reference.lacking([one.place]).size[0])
+        return min((1.0 - lacking / size) ** 2, 1.0)
 
     def _like(self, best: Candidate) -> list[Place]:
         """Return what would explain a motion as well as the best, followed or not.
@@ -285,7 +279,7 @@ class Search:
         """
         assert best.fitted is not None
         places = [best.place, *(place for place in self._places if place not in best.change)]
-        slopes = np.stack([self._slopes[place] for place in places], axis=-1)
+        slopes = np.stack([self._slopes[place][0] for place in places], axis=-1)
         left = self._few.left(best.answers[self._some], best.begins[self._some])
         known = self._few.likelihood.information(left, slopes) / self._some.mean()
         parallel = known[0] ** 2 / np.maximum(known[0, 0] * np.diag(known), 1e-30)
@@ -332,13 +326,14 @@ class Search:
         few = self._few
         # That of no change is rough, and would hide small ones.
         log = self._few_level = few.level(at)
-        places = self._best_alone(now, [place for place in self._places if place not in at])
+        others = [place for place in self._places if place not in {*at, *self._small}]
+        places = self._best_alone(now, others)
         kinds = [kind for kind, _ in places]
-        places = [p for i, p in enumerate(places) if kinds[:i].count(p[0]) < OF_A_KIND][:FOLLOWED]
         candidates = [
-            Candidate(place, at | {place: 0.0}, now, self._slopes[place], log, few.begins)
-            for place in places
-        ]
+            Candidate(place, at | {place: 0.0}, now, slope, log, few.begins)
+            for row, (place, slope) in enumerate(places.items())
+            if kinds[:row].count(place[0]) < OF_A_KIND
+        ][:FOLLOWED]
         if not candidates:
             return []
         moving = candidates
@@ -351,20 +346,24 @@ class Search:
             self._fit(one)
         return self._judged(candidates, log, float(self._some.mean()))
 
-    def _best_alone(self, now: Float64, places: Sequence[Place]) -> list[Place]:
-        """Return places, the one whose change explains most alone first, by derivatives."""
+    def _best_alone(self, now: Float64, places: Sequence[Place]) -> dict[Place, Float64]:
+        """Return places, the one whose change explains most alone first, with its derivative."""
         left = self._few.left(now)
+        rows = [(place, each) for place in places for each in self._slopes[place]]
 
-        def gain(place: Place) -> float:
-            usual = np.array([KINDS[place[0]].usual])
-            fitted = self._few.likelihood.fit(left, self._slopes[place][..., None], usual)
+        def gain(row: tuple[Place, Float64]) -> float:
+            usual = np.array([KINDS[row[0][0]].usual])
+            fitted = self._few.likelihood.fit(left, row[1][..., None], usual)
             return fitted.gain / math.sqrt(max(fitted.kappa, 1.0))
 
-        return sorted(places, key=gain, reverse=True)
+        found = dict[Place, Float64]()
+        for place, slope in sorted(rows, key=gain, reverse=True):
+            found.setdefault(place, slope)
+        return found
 
     def _fit(self, one: Candidate) -> bool:
         """Fit from where a candidate is; return whether there is far to go."""
-        slopes = {place: self._slopes[place] for place in one.change} | {one.place: one.slope}
+        slopes = {place: self._slopes[place][0] for place in one.change} | {one.place: one.slope}
         usual = np.array([KINDS[kind].usual for kind, _ in one.change])
         every = np.stack(list(slopes.values()), axis=-1)
         one.fitted = self._few.likelihood.fit(self._few.left(one.answers, one.begins), every, usual)
