@@ -132,7 +132,7 @@ def data_files() -> list[tuple[str, list[str]]]:
 
 
 BESIDE = (
-    *(".cpp", ".csv", ".h", ".html", ".js", ".json", ".mplstyle", ".msg", ".txt", ".xml", ".yaml"),
+    *(".cpp", ".h", ".html", ".js", ".json", ".mplstyle", ".msg", ".txt", ".xml", ".yaml"),
     "py.typed",
 )
 """Endings of files beside the code."""

@@ -62,7 +62,18 @@ def test_every_resource_is_installed_below_share(installed: Path) -> None:
 
 def test_every_module_and_what_stands_beside_it_is_installed(site_packages: Path) -> None:
     packages = tuple(f"{package}/" for package in PACKAGES)
-    endings = (".py", "py.typed", ".msg", ".h", ".cpp", ".txt", ".yaml")
+    endings = (
+        ".py",
+        "py.typed",
+        ".msg",
+        ".h",
+        ".cpp",
+        ".txt",
+        ".yaml",
+        ".json",
+        ".xml",
+        ".mplstyle",
+    )
     expected = {n for n in tracked_files() if n.startswith(packages) and n.endswith(endings)}
     missing = {name for name in expected if not (site_packages / name).is_file()}
     assert missing == set()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import re
 import signal
@@ -217,7 +218,12 @@ def test_the_table_of_the_documentation_names_what_there_is() -> None:
     rows = [line for line in section.splitlines() if line.startswith("| `")]
     named = {name for row in rows for name in re.findall(r"`([a-z_]+)", row.split("|")[1])}
     code = (root / "unicon_lab" / "view" / "metrics.py").read_text("utf-8")
-    made = set(re.findall(r'\b([a-z_]+)(?:"\]?[,)]|=)', code)) | set(_TABLE["states"])
+    made = set(_TABLE["states"])
+    for call in (node for node in ast.walk(ast.parse(code)) if isinstance(node, ast.Call)):
+        name = getattr(call.func, "id", getattr(call.func, "attr", ""))
+        if name == "_singles":
+            made |= {str(keyword.arg) for keyword in call.keywords}
+        elif name in ("_metric", "lines"):
+            made |= {each.value for each in call.args if isinstance(each, ast.Constant)}
     made |= {f"ros_messages_{way}_total" for way in ("published", "received")}
-    assert named == set(_TABLE["help"])
-    assert named <= made
+    assert named == made == set(_TABLE["help"])

@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 from xml.etree import ElementTree as Xml
 
@@ -59,10 +58,6 @@ class Geom:
     uri: str = ""
 
 
-_ZERO = partial(np.zeros, 3)
-_UNTURNED = partial(np.array, (1.0, 0.0, 0.0, 0.0))
-
-
 @dataclass
 class Link:
     """One link and the joint that carries it.
@@ -88,8 +83,8 @@ class Link:
 
     name: str
     parent: int
-    position: Float64 = field(default_factory=_ZERO)
-    quat: Float64 = field(default_factory=_UNTURNED)
+    position: Float64 = field(default_factory=lambda: np.zeros(3))
+    quat: Float64 = field(default_factory=lambda: np.array((1.0, 0.0, 0.0, 0.0)))
     joint: str = ""
     index: int = -1
     sliding: bool = False
@@ -97,9 +92,9 @@ class Link:
     lower: float = float("nan")
     upper: float = float("nan")
     mass: float = 0.0
-    centre: Float64 = field(default_factory=_ZERO)
-    inertia_quat: Float64 = field(default_factory=_UNTURNED)
-    inertia: Float64 = field(default_factory=_ZERO)
+    centre: Float64 = field(default_factory=lambda: np.zeros(3))
+    inertia_quat: Float64 = field(default_factory=lambda: np.array((1.0, 0.0, 0.0, 0.0)))
+    inertia: Float64 = field(default_factory=lambda: np.zeros(3))
     geoms: list[Geom] = field(default_factory=list)
     looks: list[Geom] | None = None
     number: int = -1

@@ -319,7 +319,7 @@ class Search:
         share = sum(each[0] == place[0] and each[1] >= 0 for each in self._places)
         odds = kind.odds / sum(each.odds for each in KINDS.values())
         odds *= 0.5 / share if place[1] >= 0 else 0.5 if kind.each else 1.0
-        return math.log(odds) - 0.5 * math.log(max(self._windows.likelihood.count, 2.0))
+        return math.log(odds) - 0.5 * math.log(max(len(self._real), 2.0))
 
     def _followed(self, at: dict[Place, float], now: Float64) -> list[Candidate]:
         """Return the candidates beside what was found, the most probable first, by few windows."""

@@ -1,4 +1,4 @@
-"""OwnNode: a node in a ROS context of its own, for a session or a platform without a host.
+"""OwnNode: a node in a ROS context of its own, for a session without a host; services of any node.
 
 `calm_middleware_threads` keeps the middleware's threads out of the tick's way, and so does
 `NodeLog`: rclpy keeps Python's interpreter lock while it writes to standard error, so on a terminal
