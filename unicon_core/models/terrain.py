@@ -333,7 +333,7 @@ class RayHeights:
     def __call__(self, points: Float64) -> Float64:
         """Return the heights in [m], shape (n,), of points (2, n)."""
         count = points.shape[1]
-        origin = np.array((*points.mean(axis=1), self.UP))
+        origin = np.array((*np.add.reduce(points, axis=1) / count, self.UP))
         rays = np.full((count, 3), -self.UP)
         np.subtract(points.T, origin[:2], out=rays[:, :2])
         geoms, far = np.zeros(count, np.int32), np.zeros(count)
