@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -53,6 +56,38 @@ def test_states_in_one_buffer_leave_in_one_copy() -> None:
     buffer *= 2
     message = JAZZY.store.deserialize_cdr(encoder.encode(), JOINT_STATE)
     np.testing.assert_array_equal(message.velocity, buffer[20:40])
+
+
+FAR_APART = """
+import numpy as np
+from map_helpers import JAZZY, publish, subscribe
+from unicon_msgs_map import Decoder, Encoder
+
+many = sorted((np.arange(150.0) for _ in range(60_000)), key=lambda array: array.ctypes.data)
+arrays = {"p": many[0], "v": many[-1]}  # 72 MB that are free lie between the two
+del many
+mapping = {"position": "p", "velocity": "v"}
+encoder = Encoder.build(publish("sensor_msgs/msg/JointState", mapping), arrays)
+raw = encoder.encode()
+assert encoder.source.count("[...] =") == 2, encoder.source
+for array in arrays.values():
+    array[:] = 0.0
+Decoder.build(subscribe("sensor_msgs/msg/JointState", mapping), arrays).decode(raw)
+for array in arrays.values():
+    np.testing.assert_array_equal(array, np.arange(150.0))
+"""
+
+
+def test_arrays_that_lie_far_apart_are_not_read_across_what_lies_between() -> None:
+    """NumPy runs out of stack where one copy spans memory that it takes its own copies from."""
+    done = subprocess.run(
+        [sys.executable, "-c", FAR_APART],
+        cwd=Path(__file__).parent,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 0, done.stderr
 
 
 def test_the_work_per_message_does_not_depend_on_the_number_of_joints() -> None:

@@ -210,6 +210,14 @@ def address(array: AnyArray) -> int:
     return int(array.__array_interface__["data"][0])
 
 
+def memory(array: AnyArray) -> int:
+    """Return what tells the memory that an array is a view of from others."""
+    owner: object = array
+    while (below := getattr(owner, "base", getattr(owner, "obj", None))) is not None:
+        owner = below
+    return id(owner)
+
+
 def line(flat: AnyArray, elements: Sequence[int]) -> AnyArray:
     """Return the view of evenly spaced elements of a 1-D array, shape (len(elements),)."""
     distance = step(elements)
@@ -221,7 +229,9 @@ def line(flat: AnyArray, elements: Sequence[int]) -> AnyArray:
 def stack(lines: Sequence[AnyArray]) -> AnyArray:
     """Return one view of lines of equal form at even distances, shape (len(lines), n).
 
-    Every element of it lies in one of the lines, which the caller must keep alive.
+    Every element of it lies in one of the lines, which the caller must keep alive. Lines are views
+    of one memory: what NumPy allocates for a copy must not lie between them, since NumPy (2.5)
+    compares the outer bounds only, takes a copy of what may overlap, and does so again and again.
     """
     first = lines[0]
     if len(lines) == 1:

@@ -30,6 +30,7 @@ from unicon_msgs_map.codec.binding import (
     fuse,
     limits,
     line,
+    memory,
     stack,
     step,
 )
@@ -332,7 +333,7 @@ def _form(run: Run) -> object:
     distance = step(run.elements)
     if distance is None:
         return object()  # uneven: like no other
-    return distance, len(run.elements), run.flat.dtype, run.flat.strides
+    return memory(run.flat), distance, len(run.elements), run.flat.dtype, run.flat.strides
 
 
 def _begin(run: Run) -> tuple[int]:

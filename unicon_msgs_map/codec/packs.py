@@ -26,6 +26,7 @@ from unicon_msgs_map.codec.binding import (
     fuse,
     limits,
     line,
+    memory,
     stack,
     step,
 )
@@ -286,7 +287,8 @@ def _plain(copy: Copy) -> bool:
 
 
 def _form(copy: Copy) -> object:
-    return copy.view.shape, copy.view.dtype, copy.view.strides, copy.stride, copy.wire
+    view = copy.view
+    return memory(view), view.shape, view.dtype, view.strides, copy.stride, copy.wire
 
 
 def _begins(copy: Copy) -> tuple[int, int]:
