@@ -326,6 +326,7 @@ class Rough:
     likely, step, base = np.full(2, 0.1), 0.002, dict[Place, float]()
 
     def __init__(self) -> None:
+        self.read_off = dict[Place, int]()
         rng = np.random.default_rng(0)
         self.slope = rng.normal(size=(40, 5, 3))
         self.phase = rng.uniform(0.0, 2.0 * np.pi, (40, 5, 3))
@@ -362,7 +363,41 @@ def test_a_size_is_found_where_contacts_make_the_likelihood_rough(truth: float) 
         half = 1.96 * float(fitted.spread[0, 0]) ** 0.5
         assert abs(at[place] - truth) < max(half, 0.01)
         assert half < 0.1
-        assert log > windows.level({place: 0.5 * truth})
+        assert log > max(windows.level({place: 0.5 * truth}))
+
+
+BIAS = "gyro bias x", -1
+
+
+class Shaken(Rough):
+    """Replays that a gyroscope's bias shakes like a contact; the last channel tells it alone."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.read_off[BIAS] = 2
+        self.unknown[:, :, 2] = 0.0
+
+    def _answers(self, change: Change, begins: Float64) -> Float64:
+        answers = np.sin(300.0 * sum(change.values()) + self.phase)
+        answers[..., 2] = change.get(BIAS, 0.0)
+        return np.asarray(answers + np.einsum("wlmq,wq->wlm", self.unknown, begins))
+
+
+@pytest.mark.parametrize("truth", [0.0, 0.2])
+def test_a_bias_that_can_be_read_off_is_not_hidden_by_contacts(truth: float) -> None:
+    run = Shaken()
+    real = run._answers({}, np.zeros((40, 2)))
+    real += np.random.default_rng(2).normal(scale=(0.2, 0.2, 0.3), size=real.shape)
+    real[..., 2] += truth
+    windows = Settled(cast(Any, SimpleNamespace(answers=real, sought=False)), run)
+    windows.begin()
+    at, _, _, fitted, log = windows.refined({BIAS: 0.05})
+    assert abs(at[BIAS] - truth) < 3.0 * float(fitted.spread[0, 0]) ** 0.5 < 0.1
+    gain = log - windows.level({})[1]
+    assert gain > 8.0 if truth else gain < 4.0
+    windows.begun(at)  # the windows begin without it now, and it is no change beside itself
+    again = windows.refined(at)[0]
+    assert abs(again[BIAS] - at[BIAS]) < 0.02
 
 
 def test_windows_leave_out_gaps_falls_and_what_is_not_a_number() -> None:

@@ -40,7 +40,7 @@ from unicon_lab.diagnose.search import MOST_REFERENCE, Found, Search
 from unicon_lab.recording import Record, open_record
 from unicon_lab.replay.workflow import recorded_values, robot_of
 
-MOST = {16: 60, 200: 40}
+MOST = {16: 100, 200: 40}
 """Windows that are replayed, by the number of joints up to which: a G1's take three times as
 long."""
 

@@ -173,7 +173,9 @@ class Motion:
             turn = before.swapaxes(-1, -2) @ here
             turn = 0.5 * (turn - turn.swapaxes(-1, -2))[..., [2, 0, 1], [1, 2, 0]] / self.period
             parts += [gravity_xy(self.measured["base_quat"][rows]), rate[rows]]
-            parts += [0.5 * (rate[rows] + rate[rows - 1]) - turn]
+            above = 0.5 * (rate[rows] + rate[rows - 1]) - turn
+            # Within a window it swings with the gait.
+            parts += [np.broadcast_to(above.mean(axis=1, keepdims=True), above.shape)]
         return np.concatenate(parts, axis=-1)
 
 

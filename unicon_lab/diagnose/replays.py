@@ -66,6 +66,7 @@ class RunOfAll(Run, Protocol):
     def settle(self, change: Change) -> Float64: ...
 
     base: dict[Place, float]
+    read_off: dict[Place, int]
 
 
 class Replays:
@@ -81,6 +82,7 @@ class Replays:
     Attributes:
         step: of the simulator in [s].
         base: change that each replay has besides its own.
+        read_off: see `Plant`.
 
     Raises:
         PlatformError: the simulator cannot be built.
@@ -96,7 +98,7 @@ class Replays:
     ) -> None:
         self.plant = Plant(robot, scene, motion)
         self.base: dict[Place, float] = {}
-        self.step = self.plant.step
+        self.step, self.read_off = self.plant.step, self.plant.read_off
         of_base = (_CARRIED if motion.sought else _MEASURED)[: 4 * motion.has_base]
         self.likely = np.concatenate([motion.velocity_noise, of_base])
         self._of_joints: Float64 | None = None
@@ -238,6 +240,34 @@ class Part:
         for each, some in zip(whole, begins):
             each[self._chosen] = some
         return [answers[self._chosen] for answers in self._run(changes, whole)]
+
+
+class Aside:
+    """Replays in which changes that can be read off show in their channels alone; see `Run`.
+
+    A window that begins with another turn rate goes on with other contacts, and that hides them.
+
+    Args:
+        run: replays all windows.
+        known: change that is replayed as it is.
+    """
+
+    def __init__(self, run: RunOfAll, known: Change) -> None:
+        self._run, self._known = run, known
+        self.clip, self.likely, self.step = run.clip, run.likely, run.step
+
+    def __call__(self, changes: Sequence[Change], begins: Sequence[Float64]) -> list[Float64]:
+        channels, known = self._run.read_off, self._known
+        aside = [[place for place in change if place in channels] for change in changes]
+        plain = [
+            {**change, **{place: known.get(place, 0.0) for place in its}}
+            for change, its in zip(changes, aside)
+        ]
+        found = self._run(plain, begins)
+        for change, its, answers in zip(changes, aside, found):
+            for place in its:
+                answers[..., channels[place]] += change[place] - known.get(place, 0.0)
+        return found
 
 
 def derivatives(

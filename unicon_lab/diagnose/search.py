@@ -1,7 +1,7 @@
 """Search: which changes of the plant explain a motion, one after the other, and how surely.
 
 All changes are fitted alone, by their derivatives; the best few are followed to where they fit
-best, at first in every second window. Those that come near the best, and matter, are fitted in all
+best, at first in some windows. Those that come near the best, and matter, are fitted in all
 windows. The best of them, prior odds and BIC's price of a parameter counted, becomes a cause if it
 is far more probable than none, and all others are fitted beside it again.
 """
@@ -37,8 +37,9 @@ MOST, MOST_REFERENCE = 4, 6
 """Causes of one record, and changes of a reference."""
 HOPE = 3.0
 """What a fit by derivatives promises is exceeded by at most so much."""
-ENOUGH = 36
-"""Windows from which on every second one is enough to find and follow candidates."""
+ENOUGH, MANY = 36, 60
+"""Windows from which on every second one is enough to find and follow candidates; above `MANY`
+every third."""
 NEAR, RIVALS = 0.7, 3
 """Part of what the best candidate adds to the log-likelihood, from which others are fitted in all
 windows too, and how many at most with it."""
@@ -67,9 +68,9 @@ class Candidate:
     Attributes:
         place: the one that is new.
         change: sizes of all.
-        answers: of the windows with them; at first of every second window.
+        answers: of the windows with them; at first of some windows.
         slope: derivative of the answers by the new one, there.
-        log: likelihood there; of all windows as of `Settled.level`.
+        log, level: likelihood there, and what it is judged against; see `Settled.level`.
         begins: of windows there; see `Plant.replayed`.
         fitted: the fit from there, in the order of `change`.
         odds: log odds against the changes before.
@@ -80,6 +81,7 @@ class Candidate:
     answers: Float64
     slope: Float64
     log: float
+    level: float
     begins: Float64
     fitted: Fitted | None = None
     odds: float = -math.inf
@@ -154,7 +156,7 @@ class Search:
         self._real = motion.answers
         self._windows = Settled(motion, run)
         count = len(motion.starts)
-        self._some = np.arange(count) % (1 + (count >= ENOUGH)) == 0
+        self._some = np.arange(count) % (1 + (count >= ENOUGH) + (count > MANY)) == 0
         self._limbs = limbs
         self._slopes: dict[Place, list[Float64]]
         self._few: Settled
@@ -180,14 +182,16 @@ class Search:
             if not followed or followed[0].odds < CLEAR - HOPELESS:
                 break
             leader, seemed = followed[0], followed[0].odds
-            near = NEAR * (leader.log - self._few_level)
+            near = NEAR * (leader.log - leader.level)
             # Contacts hide which of those that come near is right.
-            rivals = [one for one in followed[:RIVALS] if one.log - self._few_level >= near]
+            rivals = [one for one in followed[:RIVALS] if one.log - one.level >= near]
             others = [one for one in followed if one not in rivals]
+            level = self._windows.level(at)
             for one in rivals:
                 refined = self._windows.refined(one.change)
                 one.change, one.answers, one.begins, one.fitted, one.log = refined
-            followed = self._judged(rivals, self._windows.level(at))
+                one.level = level[self._read_off(one)]
+            followed = self._judged(rivals)
             for one in others:  # they stay behind the first one
                 one.odds += leader.odds - seemed
             followed += others
@@ -200,7 +204,7 @@ class Search:
             least = BESIDE * (whole if reference else whole - error)
             if reference and whole < CALMER * reference.left:
                 least = max(least, OF_LEFT * reference.left)
-            if not self._matters(best) or (least and less < least):
+            if not self._matters(best) or (0.0 < least > less and not self._read_off(best)):
                 self._small.add(best.place)  # it may hide one that is larger
                 continue
             alike = [each.place for each in followed[1:] if best.odds - each.odds < ALIKE]
@@ -219,9 +223,8 @@ class Search:
             bias = np.maximum(bias, BIAS_FOUND) if self.motion.sought else bias
             sizes = np.array(list(at.values()))
             rounded = self._run.step * np.array([0.06 * KINDS[kind].stepped for kind, _ in at])
-            variance = (
-                self._wider**2 * (np.diag(best.fitted.spread) + (bias * sizes) ** 2) + rounded**2
-            )
+            variance = self._wider**2 * (np.diag(best.fitted.spread) + (bias * sizes) ** 2)
+            variance += rounded**2
             if reference:
                 known = reference.found.deviation
                 variance += np.array([known.get(place, 0.0) / 1.96 for place in at]) ** 2
@@ -229,8 +232,7 @@ class Search:
                 sizes -= lacking.size
                 variance += np.diag(lacking.spread) + (UNSURE * lacking.size) ** 2
             found.change = dict(zip(at, sizes.tolist()))
-            halves = 1.96 * np.sqrt(variance)
-            found.deviation = dict(zip(at, map(float, halves)))
+            found.deviation = dict(zip(at, (1.96 * np.sqrt(variance)).tolist()))
             self._tell(f"{best.place[0]}: log odds {best.odds:.0f}")
             idle = [place for place in at if self._idle(place)]
             if idle:  # what seemed to be a cause was another one's doing
@@ -251,18 +253,18 @@ class Search:
         slopes = np.stack([self._slopes[place][0] for place in places], axis=-1)
         return self._few.likelihood.fit(self._left, slopes, usual)
 
-    def _judged(
-        self, followed: Sequence[Candidate], log: float, share: float = 1.0
-    ) -> list[Candidate]:
-        """Return candidates by their odds against a likelihood of a share of the windows."""
-        if not followed:
-            return []
-        best = max(followed, key=lambda one: one.log)
-        kappa = share * max(best.fitted.kappa if best.fitted else 1.0, 1.0) * self._wider**2
+    def _judged(self, followed: Sequence[Candidate], share: float = 1.0) -> list[Candidate]:
+        """Return candidates by their odds, by a share of the windows."""
         for one in followed:
+            alike = (each for each in followed if self._read_off(each) == self._read_off(one))
+            best = max(alike, key=lambda each: each.log)
+            kappa = share * max(best.fitted.kappa if best.fitted else 1.0, 1.0) * self._wider**2
             own = self._beyond_reference(one)
-            one.odds = own * (one.log - log) / kappa + self._price(one.place)
+            one.odds = own * (one.log - one.level) / kappa + self._price(one.place)
         return sorted(followed, key=lambda one: -one.odds)
+
+    def _read_off(self, one: Candidate) -> bool:
+        return one.place in self._run.read_off
 
     def _beyond_reference(self, one: Candidate) -> float:
         """Return the part of a gain above that of a change which a reference has: a parabola's."""
@@ -324,14 +326,14 @@ class Search:
     def _followed(self, at: dict[Place, float], now: Float64) -> list[Candidate]:
         """Return the candidates beside what was found, the most probable first, by few windows."""
         few = self._few
-        # That of no change is rough, and would hide small ones.
-        log = self._few_level = few.level(at)
+        level = few.level(at)
         others = [place for place in self._places if place not in {*at, *self._small}]
         places = self._best_alone(now, others)
-        kinds = [kind for kind, _ in places]
+        kinds, read_off = [kind for kind, _ in places], self._run.read_off
         candidates = [
-            Candidate(place, at | {place: 0.0}, now, slope, log, few.begins)
+            Candidate(place, at | {place: 0.0}, now, slope, base, base, few.begins)
             for row, (place, slope) in enumerate(places.items())
+            for base in [level[place in read_off]]
             if kinds[:row].count(place[0]) < OF_A_KIND
         ][:FOLLOWED]
         if not candidates:
@@ -339,12 +341,12 @@ class Search:
         moving = candidates
         for parts in PARTS:
             best_log = max(one.log for one in candidates)
-            moving = [one for one in moving if self._fit(one) and self._hopes(one, log, best_log)]
+            moving = [one for one in moving if self._fit(one) and self._hopes(one, best_log)]
             moving = self._step(moving, parts)
         candidates = [one for one in candidates if self._matters(one, HALF)]
         for one in candidates:
             self._fit(one)
-        return self._judged(candidates, log, float(self._some.mean()))
+        return self._judged(candidates, float(self._some.mean()))
 
     def _best_alone(self, now: Float64, places: Sequence[Place]) -> dict[Place, Float64]:
         """Return places, the one whose change explains most alone first, with its derivative."""
@@ -369,12 +371,12 @@ class Search:
         one.fitted = self._few.likelihood.fit(self._few.left(one.answers, one.begins), every, usual)
         return bool(np.any(np.abs(one.fitted.size) > 0.2 * np.sqrt(np.diag(one.fitted.spread))))
 
-    def _hopes(self, one: Candidate, before: float, best: float) -> bool:
+    def _hopes(self, one: Candidate, best: float) -> bool:
         """Return whether a candidate may still become a cause, or like the best one."""
         assert one.fitted is not None
         kappa = max(one.fitted.kappa, 1.0) * float(self._some.mean())
         reached = one.log + HOPE * one.fitted.gain
-        cause = (reached - before) / kappa + self._price(one.place) > CLEAR - HOPELESS
+        cause = (reached - one.level) / kappa + self._price(one.place) > CLEAR - HOPELESS
         return cause and (reached - best) / kappa > -HOPELESS
 
     def _step(self, moving: Sequence[Candidate], parts: Sequence[float]) -> list[Candidate]:

@@ -34,7 +34,7 @@ import numpy as np
 from unicon_base.arrays import Bool, Float64
 from unicon_lab.diagnose.motion import Motion
 from unicon_lab.diagnose.plant import KINDS, Change, Place, step_of
-from unicon_lab.diagnose.replays import Part, Run, RunOfAll
+from unicon_lab.diagnose.replays import Aside, Part, Run, RunOfAll
 
 SHAPES = 4
 """Polynomials that describe a window, at most; fewer where there are less than six windows each."""
@@ -230,7 +230,7 @@ class Settled:
         run: replays changes.
 
     Attributes:
-        run: replays changes in these windows.
+        run: replays changes beside the last of `begun`; see `Aside`.
         begins: of windows.
         likelihood: leaves out what other beginnings could explain.
     """
@@ -267,6 +267,7 @@ class Settled:
         The likelihood is from now on of what is left there.
         """
         now, self._unknown = self._all.derived(change, self._first)
+        self.run = Aside(self._all, change)
         if not change:
             self.likelihood = Likelihood(self._real - now)
         self._leave_out(now)
@@ -287,7 +288,9 @@ class Settled:
         """
         usual = np.array([KINDS[kind].usual for kind, _ in at])
         now, begins = self.best_of([at])[0]
-        log, part, turn, better = self.likelihood.log(self.left(now, begins)), 1.0, 0, True
+        log, part, better = self.likelihood.log(self.left(now, begins)), 1.0, True
+        *_, last = at
+        turn = REFINED if (read_off := last in self._all.read_off) else 0  # nothing else moves
         while better:
             beside = [at | {place: size + step_of(place)} for place, size in at.items()]
             moved = self.run(beside, [begins] * len(at))
@@ -306,7 +309,7 @@ class Settled:
             if better:
                 at, now, begins, log = trial, answers, its, there
         for row, place in enumerate(at):
-            if place == next(reversed(at)) or KINDS[place[0]].stepped:
+            if place == last or (KINDS[place[0]].stepped and not read_off):
                 at, fitted, log = self._peak(at, place, row, fitted)
         return at, *self.best_of([at])[0], fitted, log
 
@@ -343,9 +346,14 @@ class Settled:
         log = float(fit(np.clip(peak, x[0], x[-1])))
         return at | {place: self.run.clip(place, size)}, replace(fitted, spread=spread), log
 
-    def level(self, at: dict[Place, float]) -> float:
-        """Return the mean likelihood of changes and of some that differ from them by a little."""
-        return float(self._logs([at, *({**at, p: at.get(p, 0.0) + d} for p, d in _AROUND)]).mean())
+    def level(self, at: dict[Place, float]) -> tuple[float, float]:
+        """Return what candidates beside changes are judged against, without and with `read_off`.
+
+        The mean likelihood of changes, which is rough, and of some that differ by a little; and
+        that of the changes, since what is read off moves nothing else.
+        """
+        logs = self._logs([at, *({**at, p: at.get(p, 0.0) + d} for p, d in _AROUND)])
+        return float(logs.mean()), float(logs[0])
 
     def _logs(self, changes: Sequence[Change]) -> Float64:
         found = self.best_of(changes)
