@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 import sys
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -343,11 +342,11 @@ def _begin(run: Run) -> tuple[int]:
 def _grid_of(group: list[Run]) -> Grid | None:
     """Return how the numbers of runs of equal form lie in the payload; None if unevenly."""
     steps = {step(run.offsets) for run in group}
-    distances = {b.offsets[0] - a.offsets[0] for a, b in pairwise(group)} or {0}
-    if len(steps) > 1 or len(distances) > 1:
-        return None
+    between = step([run.offsets[0] for run in group]) if len(group) > 1 else 0
     spacing = steps.pop()
-    return None if spacing is None else Grid(group[0].offsets[0], distances.pop(), spacing)
+    if steps or between is None or spacing is None:
+        return None
+    return Grid(group[0].offsets[0], between, spacing)
 
 
 GAP = 16  # bytes between two arrays of a message that are looked at along
